@@ -86,10 +86,17 @@ def members_of(head: bpy.types.Object) -> list[Member]:
 def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the other meshes of the face of `head`, by name; of a built-in head, its lashes."""
     found = [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.get(HEAD_PROPERTY) == head and obj != head]
-    lashes = head[PARTS_PROPERTY].get("lashes") if PARTS_PROPERTY in head else None
-    if isinstance(lashes, bpy.types.Object) and lashes.type == "MESH" and lashes.parent == head:
+    lashes = parts_of(head).get("lashes")
+    if lashes is not None and lashes.type == "MESH" and lashes.parent == head:
         found.append(lashes)
     return sorted(found, key=lambda obj: obj.name)
+
+
+def parts_of(head: bpy.types.Object) -> dict[str, bpy.types.Object]:
+    """Return the parts attached to a head by key, without those that were deleted."""
+    stored = head.get(PARTS_PROPERTY)
+    parts = stored.to_dict() if hasattr(stored, "to_dict") else {}
+    return {key: part for key, part in parts.items() if isinstance(part, bpy.types.Object)}
 
 
 def part_table(head: bpy.types.Object) -> list[tuple[bpy.types.Object, Part, int]]:

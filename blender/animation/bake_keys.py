@@ -102,18 +102,17 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
         If no mesh has shape keys, or one has absolute ones.
     """
     blocks: dict[str, list[tuple[Member, bpy.types.ShapeKey]]] = {}
-    muted: set[str] = set()
+    head = members[0].obj
+    muted = {name for name in key_names(head) if head.data.shape_keys.key_blocks[name].mute}
     for member in members:
         for name in key_names(member.obj):
-            if (block := member.obj.data.shape_keys.key_blocks[name]).mute:
-                muted.update([name] if member == members[0] else [])
-            elif name not in muted:
+            block = member.obj.data.shape_keys.key_blocks[name]
+            if not block.mute and name not in muted:
                 require_relative(member.obj)
                 blocks.setdefault(name, []).append((member, block))
     if not blocks:
-        name = members[0].obj.name
         raise HeadError(
-            f"{name} has no shape keys. Bake to new shape keys, or add the built-in head with ARKit shape keys."
+            f"{head.name} has no shape keys. Bake to new shape keys, or add the built-in head with ARKit shape keys."
         )
     offsets = np.zeros((len(blocks), members[-1].part.stop, 3), dtype=np.float32)
     for row, found in zip(offsets, blocks.values(), strict=True):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import bpy
 
+from ..characters import parts_of
 from ..names import PART_PROPERTY, PARTS_PROPERTY
 
 _HIDDEN = "hide_render"
@@ -67,13 +68,6 @@ def attach_all() -> None:
             found.setdefault(head, {})[str(obj[PART_PROPERTY])] = obj
     for head, parts in found.items():
         attach(head, parts)
-
-
-def parts_of(head: bpy.types.Object) -> dict[str, bpy.types.Object]:
-    """Return the parts attached to a head by key, without those that were deleted."""
-    stored = head.get(PARTS_PROPERTY)
-    parts = stored.to_dict() if hasattr(stored, "to_dict") else {}
-    return {key: part for key, part in parts.items() if isinstance(part, bpy.types.Object)}
 
 
 def heads_with_parts() -> list[bpy.types.Object]:

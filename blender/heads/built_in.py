@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.heads.built_in import WOMAN_FILE, HeadPart, load_head
+from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
 from ...core.heads.parts import Part
 from ..characters import write_kinds
 from ..frames import to_blender
@@ -53,8 +53,8 @@ def add_head(
     _subdivide_in_renders(skin)
     write_regions(skin, head.regions)
     parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
-    for obj in (obj for obj in parts if obj[PART_PROPERTY] == "lashes"):
-        write_kinds(obj.data, np.full(len(obj.data.vertices), Part.ON_SKIN))
+    lashes = parts[PART_NAMES.index("lashes")].data
+    write_kinds(lashes, np.full(len(lashes.vertices), Part.ON_SKIN))
     attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
     if units:
         _add_units(skin, head.vertices, head.unit_names, head.units)

@@ -72,10 +72,9 @@ class Glue:
         stiffness = np.where(rim, _RIM_STIFFNESS, _STIFFNESS)[:, None, None]
         inertia = size - squares + stiffness * size + 1e-30 * np.eye(3)
         turns = np.einsum("nab,nk,nkbc->nkac", np.linalg.inv(inertia), weights, _cross(arms))
-        self._weights, self._turns = weights.astype(np.float32), turns.astype(np.float32)
-        shares = self._weights[..., None, None] * np.eye(3, dtype=np.float32)
-        moments = np.concatenate([shares, self._turns], axis=2)
-        self._moments = np.ascontiguousarray(np.swapaxes(moments, 1, 2)).reshape(len(at), 6, -1)
+        shares = weights[..., None, None] * np.eye(3)
+        moments = np.swapaxes(np.concatenate([shares, turns], axis=2), 1, 2)
+        self._moments = moments.reshape(len(at), 6, -1).astype(np.float32)
         self._middle = middle[self._places].astype(np.float32)
         self._arms = (places - middle[self._places]).astype(np.float32)
 
@@ -91,8 +90,9 @@ class Glue:
             column, the vertex of the skin, its weight, and 0.
         """
         roots = np.zeros((*self._rows.shape, 3, 4), dtype=np.float32)
-        roots[..., :3] = self._turns
-        roots[..., 0, 3], roots[..., 1, 3] = self._rows, self._weights
+        moments = self._moments.reshape(len(roots), 6, -1, 3)
+        roots[..., :3] = np.swapaxes(moments[:, 3:], 1, 2)
+        roots[..., 0, 3], roots[..., 1, 3] = self._rows, moments[:, 0, :, 0]
         return np.column_stack([self._middle, self._places]).astype(np.float32), roots
 
     def move(self, displacements: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -235,7 +235,7 @@ def _gazes(head: Head, mixtures: FloatArray) -> FloatArray:
     """Rotations (K, 2, 3, 3) of the right and left eye of the built-in head under mixtures (K, 52) of its units."""
     turns = np.tile(np.eye(3), (len(mixtures), 2, 1, 1))
     for side, name in enumerate(("eye_right", "eye_left")):
-        eye = next(part for part in head.parts if part.name == name)
+        eye = head.part(name)
         rest = (eye.vertices - eye.pivot).astype(np.float64)
         for row, motion in enumerate(_mixed(mixtures, eye.units)):
             if motion.any():

@@ -130,12 +130,11 @@ class PartDriver:
         for number in range(int(piece.max(initial=-1)) + 1):
             within = np.flatnonzero(piece == number)
             reach = to_rim[within]
+            small = np.ptp(points[within], axis=0).max() <= _SMALL * unit
             if reach.min() <= _LASH * unit and reach.max() <= _LASHES * unit:
-                near = within[reach <= _LASH * unit]
+                near = within[[int(reach.argmin())]] if small else within[reach <= _LASH * unit]
                 at_rim[within] = True
-                if np.ptp(points[within], axis=0).max() <= _SMALL * unit:
-                    near = within[[int(reach.argmin())]]
-            elif np.ptp(points[within], axis=0).max() <= _SMALL * unit:
+            elif small:
                 near = within[[int(away[within].argmin())]]
             elif away[within].max() > _ON_SKIN * unit:
                 near = within[away[within] <= max(_ON_SKIN * unit, 1.5 * float(away[within].min()))]

@@ -170,7 +170,7 @@ def built_in_appearance(name: str = "Facemime Head") -> Appearance:
 
     tongue = head.unit_names.index(_TONGUE)
     parts = tuple(_attached(part, surface, tongue) for part in head.parts if part.name != "lashes")
-    lashes = next(part for part in head.parts if part.name == "lashes")
+    lashes = head.part("lashes")
     on_skin = np.where(lashes.faces < 0, -1, lashes.faces + len(head.vertices))
     patches = (Patch(surface("skin"), head.faces, head.uv), Patch(surface("hair"), on_skin, lashes.uv))
     return Appearance(name, patches, parts)

@@ -91,6 +91,10 @@ class Head:
     parts: tuple[HeadPart, ...]
     jaw_pivot: NDArray[np.float32]
 
+    def part(self, name: str) -> HeadPart:
+        """Return the part of that name, one of `PART_NAMES`."""
+        return self.parts[PART_NAMES.index(name)]
+
 
 def load_head(path: Path | None = None) -> Head:
     """Load the head at `path`, by default the built-in one. Shipped heads are read once.

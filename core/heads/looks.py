@@ -70,7 +70,7 @@ def _reaches() -> tuple[tuple[int, int, float], ...]:
     reaches = []
     for column in LOOKS.tolist():
         name = head.unit_names[column]
-        eye = next(part for part in head.parts if part.name == ("eye_left" if "Left" in name else "eye_right"))
+        eye = head.part("eye_left" if "Left" in name else "eye_right")
         rest = (eye.vertices - eye.pivot).astype(np.float64)
         forward = -fit_rotation(rest, rest + eye.units[column])[:, 2]
         axis = 0 if "In" in name or "Out" in name else 1

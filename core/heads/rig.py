@@ -144,7 +144,7 @@ def built_in_rig(*, lashes: bool = False) -> HeadRig:
 
 
 def _lashes(head: Head) -> FaceParts:
-    part = next(part for part in head.parts if part.name == "lashes")
+    part = head.part("lashes")
     count = len(head.vertices)
     kinds = np.repeat([Part.SKIN, Part.ON_SKIN], [count, len(part.vertices)]).astype(np.int8)
     return FaceParts(kinds, part.vertices, np.where(part.faces < 0, -1, part.faces + count))

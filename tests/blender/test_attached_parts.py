@@ -3,7 +3,8 @@
 import bpy
 import pytest
 
-from facemime.blender.heads.attached import attach, parts_of
+from facemime.blender.characters import parts_of
+from facemime.blender.heads.attached import attach
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_OBJECTS, PART_PROPERTY, PARTS_PROPERTY
 from facemime.operators.attached_parts import attend

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.errors import ModelError
-from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, WOMAN_FILE, Head, HeadPart, load_head
+from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, WOMAN_FILE, Head, load_head
 from facemime.core.landmarks import LIPS, MIRROR, from_ibug
 
 SIDED = ["browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"]
@@ -33,10 +33,6 @@ def corners(faces: np.ndarray) -> list[list[int]]:
 
 def directed_edges(faces: np.ndarray) -> list[tuple[int, int]]:
     return [(a, b) for face in corners(faces) for a, b in zip(face, face[1:] + face[:1], strict=True)]
-
-
-def part_of(head: Head, name: str) -> HeadPart:
-    return next(part for part in head.parts if part.name == name)
 
 
 def posed(head: Head, **weights: float) -> np.ndarray:
@@ -165,7 +161,7 @@ def test_a_blink_closes_the_lids_of_its_own_eye_only(head):
 
 
 def test_a_tongue_that_is_out_lies_in_front_of_the_lips_and_above_the_lower_lip(head):
-    tongue, unit = part_of(head, "tongue"), head.unit_names.index("tongueOut")
+    tongue, unit = head.part("tongue"), head.unit_names.index("tongueOut")
     lips = head.vertices[head.landmarks[LIPS]]
     out = tongue.vertices + tongue.units[unit]
     tip = out[np.argmin(out[:, 2])]
@@ -202,7 +198,7 @@ def test_parts_lie_where_they_belong(head):
 
 
 def test_lashes_are_rooted_at_the_lids_and_brows_in_the_skin(head):
-    lashes = part_of(head, "lashes").vertices
+    lashes = head.part("lashes").vertices
     eyes = head.vertices[head.landmarks[from_ibug(range(36, 48))]]
     brows = head.vertices[head.landmarks[from_ibug(range(17, 27))]]
     for points in (eyes, brows):
@@ -212,7 +208,7 @@ def test_lashes_are_rooted_at_the_lids_and_brows_in_the_skin(head):
 
 
 def test_a_blink_carries_the_lashes_down_and_raised_brows_carry_their_hairs_up(head):
-    lashes = part_of(head, "lashes")
+    lashes = head.part("lashes")
     for unit, low, high in (("eyeBlinkLeft", 0.003, 0.015), ("browOuterUpLeft", -0.015, -0.003)):
         moved = lashes.units[head.unit_names.index(unit)]
         extreme = moved[:, 1].max() if low > 0 else moved[:, 1].min()
@@ -221,7 +217,7 @@ def test_a_blink_carries_the_lashes_down_and_raised_brows_carry_their_hairs_up(h
 
 
 def test_hair_covers_the_skull_and_leaves_the_face_free(head):
-    hair = part_of(head, "hair").vertices
+    hair = head.part("hair").vertices
     assert hair[:, 1].min() < head.vertices[:, 1].min()
     face = head.vertices[head.landmarks]
     inside = (np.abs(hair[:, 0]) < 0.03) & (hair[:, 1] > face[:, 1].min()) & (hair[:, 2] < face[:, 2].max())

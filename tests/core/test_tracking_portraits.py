@@ -14,6 +14,7 @@ from facemime.core.images import read_image
 from facemime.core.landmarks import LIPS, MIRROR, from_ibug, outer_eye_distance
 from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.hidden_mouth import is_hidden
+from facemime.core.tracking.network_detector import NetworkDetector
 from facemime.core.tracking.settings import CASCADES, NETWORK, TrackingSettings
 from facemime.core.tracking.tracker import FaceTracker
 
@@ -157,6 +158,21 @@ def test_no_frame_without_a_face_exceeds_its_budget_of_work(monkeypatch, gradual
         assert not tracker.track(nobody).found
         counts.append(len(made))
     assert max(counts if gradual else counts[1:]) == most
+
+
+@pytest.mark.parametrize("gradual", [True, False])
+def test_a_frame_without_a_face_takes_one_pass_of_the_network_or_one_scan(monkeypatch, gradual):
+    made = []
+    detect, scanned = NetworkDetector.detect, CascadeDetector._scanned
+    monkeypatch.setattr(NetworkDetector, "detect", lambda self, *of: made.append("pass") or detect(self, *of))
+    monkeypatch.setattr(CascadeDetector, "_scanned", lambda self, *of: made.append("scan") or scanned(self, *of))
+    tracker = FaceTracker.load(gradual=gradual)
+    counts = []
+    for _ in range(12):
+        made.clear()
+        assert not tracker.track(np.full((480, 640), 128, np.uint8)).found
+        counts.append(len(made))
+    assert set(counts if gradual else counts[1:]) == {1}
 
 
 def test_actions_of_eyes_and_mouth_are_measured_alternately_live_and_in_every_frame_of_files(tracker):

@@ -51,7 +51,7 @@ _SCALP = 0.012
 """Distance inside the hairline in metres from which the skin is finer than hm08."""
 
 _ROUNDED = 2e-5
-"""Metres."""
+"""Step in metres to which hair, lashes and brows are rounded."""
 
 _JPEG_QUALITY = 90
 

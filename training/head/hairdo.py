@@ -13,10 +13,8 @@ from scipy.spatial import cKDTree
 from .canvas import fade
 from .complexion import Complexion
 from .hair import inside_hairline
+from .organs import HAIR_COLUMNS
 from .ribbons import Points, Shape, joined, ribbons, sideways, unit
-
-HAIR_COLUMNS = (0.02, 0.78)
-"""Part of the texture's width that shows strands of the scalp's hair."""
 
 _MIDDLE = np.array([0.0, -0.015, 0.020])
 """Place within the skull, head frame, from which the scalp is described by its distance."""
@@ -162,7 +160,7 @@ def knot_locks(scalp: Scalp, roots: Points, look: Complexion) -> Shape:
 def _knot(centre: Points, axis: Points, rng: np.random.Generator) -> Shape:
     """A coil of hair around `axis` (3,)."""
     count, steps, large, small = 130, 9, 0.0155, 0.0150
-    first = unit(np.cross(axis, [0.0, 0.0, 1.0]) + [1e-6, 0.0, 0.0])
+    first = unit(np.cross(axis, [0.0, 0.0, 1.0]))
     second = np.cross(axis, first)
     begin, around = rng.uniform(0.0, 2 * np.pi, (2, count, 1))
     turn = begin + np.linspace(0.0, 2.2, steps)

@@ -12,8 +12,8 @@ from .complexion import Complexion
 _EYE_SIZE = 512
 _MOUTH_SIZE = (256, 1024)
 _HAIR_SIZE = (256, 512)
-BROW_COLUMNS, LASH_COLUMNS = (0.84, 0.88), (0.94, 0.98)
-"""Parts of the texture's width that show the hairs of brows, and lashes; the rest shows the hair of the scalp."""
+HAIR_COLUMNS, BROW_COLUMNS, LASH_COLUMNS = (0.02, 0.78), (0.84, 0.88), (0.94, 0.98)
+"""Parts of the texture's width that show the hair of the scalp, the hairs of the brows, and the lashes."""
 
 
 def paint_eye(iris: float, look: Complexion) -> NDArray[np.uint8]:
