@@ -15,6 +15,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ..core import linalg
 from ..core.errors import HeadError
 from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import sphere_of_lids
@@ -58,7 +59,7 @@ class Member:
 
     def head_offsets(self, offsets: NDArray[np.floating]) -> NDArray[np.float32]:
         """Convert (..., n, 3) displacements of its mesh to the head frame."""
-        return np.asarray(offsets @ np.linalg.inv(self.to_mesh[:, :3]).T, dtype=np.float32)
+        return np.asarray(offsets @ linalg.inv(self.to_mesh[:, :3]).T, dtype=np.float32)
 
 
 def members_of(head: bpy.types.Object) -> list[Member]:
@@ -144,7 +145,7 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
         return None
     others, faces = [np.empty((0, 3), dtype=np.float32)], [np.empty((0, 3), dtype=np.int32)]
     for member in members[1:]:
-        back = np.linalg.inv(np.vstack([member.to_mesh, [0.0, 0.0, 0.0, 1.0]]))[:3]
+        back = linalg.inv(np.vstack([member.to_mesh, [0.0, 0.0, 0.0, 1.0]]))[:3]
         others.append(cv2.transform(to_blender(read_vertices(member.obj.data)).reshape(1, -1, 3), back).reshape(-1, 3))
         own = read_faces(member.obj.data)
         faces.append(np.where(own >= 0, own + member.part.start, -1))

@@ -6,6 +6,7 @@ from math import cos, sin
 
 import numpy as np
 
+from . import linalg
 from .arrays import FloatArray
 
 
@@ -83,8 +84,8 @@ def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
     -----
     Kabsch 1976; the sign of the determinant after Umeyama 1991.
     """
-    u, _, vt = np.linalg.svd(target.T @ source)
-    sign = np.sign(np.linalg.det(u @ vt))
+    u, _, vt = linalg.svd(target.T @ source)
+    sign = np.sign(linalg.det(u @ vt))
     return np.asarray(u * np.array([1.0, 1.0, sign]) @ vt)
 
 

@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core import linalg
 from ...core.errors import HeadError
 from ..meshes import read_landmarks
 
@@ -57,7 +58,7 @@ def landmark_places(
     seen = [vertices[i] for i in landmarks.tolist()]
     world = np.array(evaluated.matrix_world)
     places = np.array([vertex.co for vertex in seen]) @ world[:3, :3].T + world[:3, 3]
-    normals = np.array([vertex.normal for vertex in seen]) @ np.linalg.inv(world[:3, :3])
+    normals = np.array([vertex.normal for vertex in seen]) @ linalg.inv(world[:3, :3])
     return project(places, normals, view, size)
 
 

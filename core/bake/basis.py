@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 
 _ROWS = 4
@@ -56,7 +57,7 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     frames, vertices = motion.shape[:2]
     flat = np.ascontiguousarray(motion, dtype=np.float32).reshape(frames, -1)
     # Singular vectors from the Gram matrix, the strongest first, without those that consist of rounding errors.
-    values, vectors = np.linalg.eigh((flat @ flat.T).astype(np.float64))
+    values, vectors = linalg.eigh((flat @ flat.T).astype(np.float64))
     strongest = values[-1] if values[-1] > 0 else 1.0
     order = [i for i in np.argsort(values)[::-1][:max_modes] if values[i] > 1e-10 * strongest]
     weights = (vectors[:, order] * np.sqrt(values[order])).astype(np.float32)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..actions import ACTION_MIRROR
 from ..arrays import FloatArray
 from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED
@@ -54,9 +55,9 @@ class CoefficientSolver:
         self._model = model
         self._responses = model.responses[:, known]
         frame, neutral = (spread.matrix()[np.ix_(known, known)] for spread in (model.frame, model.neutral))
-        self._within, self._between = np.linalg.inv(frame), np.linalg.inv(neutral)
-        self._single = self._responses @ np.linalg.inv(frame + neutral)
-        self._calibrated = self._responses @ np.linalg.inv(frame + _LEFT * neutral)
+        self._within, self._between = linalg.inv(frame), linalg.inv(neutral)
+        self._single = self._responses @ linalg.inv(frame + neutral)
+        self._calibrated = self._responses @ linalg.inv(frame + _LEFT * neutral)
         self._correction = model.correction
         self._at_rest = self._lacking(np.zeros((1, N_OBSERVED + len(FITTED)))) if model.correction else 0.0
 
@@ -116,7 +117,7 @@ class CoefficientSolver:
         values = observed[:, self._known]
         some = values[np.unique(np.linspace(0, len(values) - 1, min(_SAMPLE, len(values))).astype(np.intp))]
         weighed = min(_INDEPENDENT, len(values)) * self._within
-        correct, error = np.linalg.solve(weighed + self._between, weighed), np.zeros(values.shape[1])
+        correct, error = linalg.solve(weighed + self._between, weighed), np.zeros(values.shape[1])
         for _ in range(_ROUNDS):
             found = self._fit(some - error, self._responses @ self._within, 1)
             # Calm frames say most about the neutral face.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 
 _TOLERANCE = 1e-10
@@ -75,7 +76,7 @@ def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, uppe
     unit = 1.0 / np.sqrt(np.maximum(np.diag(gram), 1e-300))
     scaled, wanted = gram * np.outer(unit, unit), products * unit
     low, high = lower / unit, upper / unit
-    step = 1.0 / max(float(np.linalg.norm(scaled, 2)) if len(scaled) else 1.0, 1e-300)
+    step = 1.0 / max(float(linalg.norm(scaled, 2)) if len(scaled) else 1.0, 1e-300)
     x = np.clip(np.zeros_like(products), low, high)
     ahead, speed = x, 1.0
     for _ in range(_STEPS):
@@ -111,7 +112,7 @@ def _descend(
     while free.any():
         rows, fixed = np.flatnonzero(free), np.flatnonzero(~free)
         right = product[rows] - gram[np.ix_(rows, fixed)] @ x[fixed]
-        step = np.linalg.solve(gram[np.ix_(rows, rows)], right) - x[rows]
+        step = linalg.solve(gram[np.ix_(rows, rows)], right) - x[rows]
         bound = np.where(step > 0.0, upper[rows], lower[rows])
         room = np.divide(bound - x[rows], step, out=np.full(len(rows), np.inf), where=step != 0.0)
         share = float(room.min())

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..coefficient_names import COEFFICIENTS
 from ..drive.driver import HeadDriver
 from ..heads.rig import HeadRig
@@ -76,7 +77,7 @@ def refined_keys(
             shown += np.outer(amount, moved)
             progress((done + (number + 1) / len(amounts)) / len(takes))
     loyal = together + _LOYALTY * max(count, 1) * np.eye(len(names))
-    change = np.linalg.solve(loyal, shown - together.astype(np.float32) @ keys)
+    change = linalg.solve(loyal, shown - together.astype(np.float32) @ keys)
     still = ~motions.any(axis=(1, 2))
     change[still | [name.startswith(_EXACT) for name in names]] = 0.0
     return np.asarray((keys + change).reshape(motions.shape), dtype=np.float32)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..errors import HeadError
 from ..rotation import fit_rotation
@@ -102,7 +103,7 @@ def similarity(source: FloatArray, target: FloatArray) -> Pose:
     """
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     a, b = source - from_centre, target - to_centre
-    spread = np.linalg.svd(a, compute_uv=False)
+    spread = linalg.svd(a, compute_uv=False)
     if spread[1] < 1e-6 * spread[0]:
         raise HeadError("The marked points lie on one line. Mark eyes, nose and mouth.")
     rotation = fit_rotation(a, b)

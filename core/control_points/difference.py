@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
 from ..heads.regions import REGIONS
@@ -65,7 +66,7 @@ class SkinDifference:
         for region, sigma, share in zip(REGIONS, sigmas.tolist(), shares, strict=True):
             own = points[region.landmarks]
             phi = kernel.phi(distances(own, own), sigma)
-            full = np.linalg.inv(phi + REGULARISATION * np.eye(len(own)))
+            full = linalg.inv(phi + REGULARISATION * np.eye(len(own)))
             evaluation = share[:, None] * kernel.phi(distances(places, own), sigma)
             alike = covariance[np.ix_(region.landmarks, region.landmarks)]
             matrix = evaluation @ full

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..deform.head_deformer import INFORMED
 from ..drive.retarget import retargeter_for
@@ -165,7 +166,7 @@ def _covariance(triangle: Any) -> FloatArray | None:
     matrix = np.zeros((N_LANDMARKS, N_LANDMARKS))
     matrix[rows] = [as_number(value, "covariance", -_MAX_VARIANCE, _MAX_VARIANCE) for value in values]
     matrix += np.tril(matrix, -1).T
-    least, *_, largest = np.linalg.eigvalsh(matrix).tolist()
+    least, *_, largest = linalg.eigvalsh(matrix).tolist()
     if least < -_ROUNDING * largest or largest < 0.0:
         raise ValueError("covariance is not a covariance matrix")
     return matrix

@@ -18,6 +18,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
+
 TOLERANCE = 5e-4
 """Error allowed at a vertex, relative to the root of the sum of the squared displacements of all control points."""
 _MAX_PIECE = 2_048
@@ -184,7 +186,7 @@ def _factors(rows: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np
     """Return `left` (N, K) and orthonormal `modes` (K, P) whose product approximates each row within the tolerance."""
     exact = rows.astype(np.float64)
     # Right singular vectors from the Gram matrix, the strongest first.
-    _, vectors = np.linalg.eigh(exact.T @ exact)
+    _, vectors = linalg.eigh(exact.T @ exact)
     modes = vectors[:, ::-1].T.astype(np.float32)
     left = rows @ modes.T
     # The error of a row after K modes is the norm of its remaining coefficients; take the smallest sufficient K.

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..archives import open_shipped
 from ..arrays import FloatArray, IntArray
 from ..assets import ASSETS
@@ -163,7 +164,7 @@ def learn(
     size = np.sqrt(np.square(flat).sum(axis=1, keepdims=True) / 3.0 + _REST_MOTION**2)
     alike = flat / (np.sqrt(3.0) * size)
     # Project to the strongest singular vectors.
-    _, axes = np.linalg.eigh(alike.T @ alike)
+    _, axes = linalg.eigh(alike.T @ alike)
     return ExpressionModel(
         places=places[moving].astype(np.float32),
         sides=_sides(region_weights)[moving].astype(np.float32),
@@ -291,7 +292,7 @@ def _smooth_weights(offsets: NDArray[np.float32], squared: NDArray[np.float32]) 
     spread += (_FLATNESS * extent)[:, None, None] * np.eye(3, dtype=np.float32)
     # Beyond the extent of the places themselves, a linear function would only magnify their differences.
     aside = -middle * np.minimum(1.0, np.sqrt(extent / np.maximum(np.square(middle).sum(axis=1), 1e-12)))[:, None]
-    slope = np.linalg.solve(spread, aside[:, :, None])
+    slope = linalg.solve(spread, aside[:, :, None])
     return np.asarray(near * (1.0 + (away @ slope)[:, :, 0]))
 
 

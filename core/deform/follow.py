@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..errors import HeadError
 from ..heads.regions import REGIONS, membership
@@ -51,12 +52,12 @@ def follow_in_region(
     """
     pairs = np.ix_(chosen, chosen)
     # F_0: by distance alone.
-    matrix = np.linalg.solve(phi[pairs] + regularisation * np.eye(len(chosen)), phi[chosen]).T
+    matrix = linalg.solve(phi[pairs] + regularisation * np.eye(len(chosen)), phi[chosen]).T
     if covariance is not None and (spread := covariance[pairs]).any():
         # Equation 6.1: regress the error of F_0 on the control points.
         ridge = _RIDGE * np.trace(spread) / len(chosen)
         wrong = covariance[chosen] - spread @ matrix.T
-        matrix += np.linalg.solve(spread + ridge * np.eye(len(chosen)), wrong).T
+        matrix += linalg.solve(spread + ridge * np.eye(len(chosen)), wrong).T
     matrix[chosen] = np.eye(len(chosen))
     return np.asarray(matrix)
 

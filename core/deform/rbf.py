@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from .. import linalg
 from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from ..mesh.kernels import Kernel, distances, get_kernel
@@ -267,7 +268,7 @@ class IncrementalDeformer:
             centres = self._points[fit.columns] + self._moved[fit.columns]
             system = self._kernel.phi(distances(centres, centres), fit.sigma) + self._ridge * np.eye(len(centres))
             step = moved[fit.columns] - self._moved[fit.columns]
-            weights = np.linalg.lstsq(system, step, rcond=1.0 / MAX_CONDITION)[0]
+            weights = linalg.lstsq(system, step, rcond=1.0 / MAX_CONDITION)[0]
             reach = self._kernel.phi(distances(before[fit.rows], centres), fit.sigma)
             after[fit.rows] += share[fit.rows, None] * (reach @ weights)
         self._vertices, self._moved = after, np.asarray(moved)
@@ -326,7 +327,7 @@ class _Fit:
     def _system(self, phi: FloatArray, where: str) -> tuple[FloatArray, float]:
         """Return the regularised kernel matrix and its condition number."""
         system = phi + self.regularisation * np.eye(len(phi))
-        condition = float(np.linalg.cond(system))
+        condition = float(linalg.cond(system))
         if not condition <= MAX_CONDITION:
             raise HeadError(
                 f"The fit is ill-conditioned (condition number {condition:.1e} {where}). "
@@ -345,7 +346,7 @@ def _solve(
     """Compute the matrix of a fit for the vertices `rows`; `evaluation` returns the kernel from them to its points."""
     matrix = np.empty((len(rows), len(columns)), dtype=np.float32)
     # A product with the inverse is much faster than solving, and accurate, as `MAX_CONDITION` limits the condition.
-    inverse = np.linalg.inv(system)
+    inverse = linalg.inv(system)
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK]
         matrix[start : start + _CHUNK] = (evaluation(part) @ inverse) * share[part, None]

@@ -9,6 +9,7 @@ from itertools import permutations, product
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..coefficient_names import FITTED
 from ..errors import HeadError
@@ -95,7 +96,7 @@ def _by_right_angles(rotation: FloatArray) -> FloatArray:
     """Return the nearest of the 24 rotations by right angles to a rotation (3, 3)."""
     signs = list(product((1.0, -1.0), repeat=3))
     turns = [np.diag(sign)[list(order)] for order in permutations(range(3)) for sign in signs]
-    return np.asarray(max((t for t in turns if np.linalg.det(t) > 0), key=lambda t: float((t * rotation).sum())))
+    return np.asarray(max((t for t in turns if linalg.det(t) > 0), key=lambda t: float((t * rotation).sum())))
 
 
 def _different(vertices: FloatArray, places: FloatArray) -> NDArray[np.intp]:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import linalg
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import EYE_LEFT, EYE_RIGHT
@@ -109,6 +110,6 @@ def _bows(points: FloatArray) -> FloatArray:
     # Equation 7.2 is linear in the bows and the lean.
     terms = np.column_stack([bow * upper, bow * ~upper, bow * (2.0 * share - 1.0)])
     pull = _TRUST * np.eye(3)
-    fitted = np.linalg.solve(terms.T @ terms + pull, terms.T @ points[_LIDS, 1] + pull @ _USUAL)
+    fitted = linalg.solve(terms.T @ terms + pull, terms.T @ points[_LIDS, 1] + pull @ _USUAL)
     upper_bow, lower_bow = _USUAL[:2] * np.maximum(fitted[:2] / _USUAL[:2], _MIN_BOW)
     return np.array([upper_bow, lower_bow, np.clip(fitted[2], -_MAX_LEAN, _MAX_LEAN)])

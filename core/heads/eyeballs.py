@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 
 LID_THICKNESS = 0.03
@@ -31,7 +32,7 @@ def fit_eyeball(points: FloatArray) -> FloatArray:
     """
     middle = points.mean(axis=0)
     about = points - middle
-    *half, rest = np.linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1), rcond=None)[0]
+    *half, rest = linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1), rcond=None)[0]
     centre = np.array(half) / 2.0
     return np.array([*(middle + centre), np.sqrt(rest + centre @ centre) / (1.0 - LID_THICKNESS)])
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from .. import linalg
 from ..arrays import FloatArray, IntArray
 
 _LEAF = 64
@@ -329,7 +330,7 @@ def _inverse(matrices: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Invert a stack of symmetric positive definite matrices, (B, P, P), by halves."""
     size = matrices.shape[-1]
     if size <= _SMALL:
-        return np.linalg.inv(matrices)
+        return linalg.inv(matrices)
     half = size // 2
     across = matrices[:, :half, half:]
     first = _inverse(matrices[:, :half, :half])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from .. import linalg
 from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from .kernels import distances
@@ -43,7 +44,7 @@ class Warp:
         system[np.arange(count), np.arange(count)] += smoothing * extent
         system[:count, count:], system[count:, :count] = affine, affine.T
         try:
-            self._weights = np.linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))
+            self._weights = linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))
         except np.linalg.LinAlgError as error:
             raise HeadError("The landmarks lie in one plane. Bind them again.") from error
 

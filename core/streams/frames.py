@@ -12,6 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..coefficient_names import N_COEFFICIENTS
 from ..rotation import from_face_axes
@@ -215,6 +216,6 @@ def to_quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
             [0.0, 0.0, 0.0, t[0, 0] + t[1, 1] + t[2, 2]],
         ]
     )
-    vector = np.linalg.eigh(k, UPLO="U")[1][:, -1]
+    vector = linalg.eigh(k, UPLO="U")[1][:, -1]
     x, y, z, w = (vector if vector[3] >= 0.0 else -vector).tolist()
     return x, y, z, w

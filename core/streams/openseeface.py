@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray
 from ..landmarks import MOUTH_CORNERS, from_ibug
@@ -127,10 +128,10 @@ def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
     middle = shape.mean(axis=0)
     spread = shape - middle
     gram = spread.T @ spread
-    if np.linalg.matrix_rank(gram, tol=1e-9) < 3:
+    if linalg.matrix_rank(gram, tol=1e-9) < 3:
         raise PacketError("the points lie in a plane")
-    linear = np.linalg.solve(gram, spread.T @ landmarks).T
-    u, scales, vt = np.linalg.svd(linear, full_matrices=False)
+    linear = linalg.solve(gram, spread.T @ landmarks).T
+    u, scales, vt = linalg.svd(linear, full_matrices=False)
     scale = float(scales.mean())
     if not _MIN_SCALE < scale < _PIXELS:
         raise PacketError("the points have no extent")

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .. import linalg
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..landmarks import N_LANDMARKS
@@ -128,6 +129,6 @@ def _pose(data: bytes) -> tuple[FloatArray, FloatArray]:
     """Return the rotation (3, 3) and translation (3,) of a frame, in the head frame."""
     numbers = np.frombuffer(data, "<f4", _POSE, FRAME_HEADER.size).astype(np.float64)
     turn = TO_RECEIVER[:, None] * numbers[:9].reshape(3, 3) * TO_RECEIVER
-    if not (np.abs(turn @ turn.T - np.eye(3)) <= _ROUND).all() or np.linalg.det(turn) < 0.0:
+    if not (np.abs(turn @ turn.T - np.eye(3)) <= _ROUND).all() or linalg.det(turn) < 0.0:
         raise PacketError("the rotation is not valid")
     return turn, _within(numbers[None, 9:])[0]

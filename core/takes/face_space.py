@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..archives import open_shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
@@ -113,7 +114,7 @@ class FaceSpace:
             share = weights / (_CALM**2 + np.square(self.amount(activations)))
             share *= min(_INDEPENDENT, len(shapes)) / share.sum()
             precision = share.sum() * outer + np.eye(len(own))
-            person = np.linalg.solve(precision, own @ (share @ (away - activations @ shown)))
+            person = linalg.solve(precision, own @ (share @ (away - activations @ shown)))
 
     def amount(self, activations: FloatArray) -> FloatArray:
         """Amount of expression of activations (N, U), (N,): length of all displacements in x and y in eye distances."""
@@ -151,7 +152,7 @@ def without_similarity(displacements: FloatArray, mean: FloatArray) -> FloatArra
     """
     whole = np.stack(list(_similarities(mean))).reshape(7, -1)
     flat = displacements.reshape(len(displacements), -1)
-    moved, *_ = np.linalg.lstsq((whole * _TRUST).T, (flat * _TRUST).T, rcond=None)
+    moved, *_ = linalg.lstsq((whole * _TRUST).T, (flat * _TRUST).T, rcond=None)
     return np.asarray(flat - moved.T @ whole).reshape(displacements.shape)
 
 

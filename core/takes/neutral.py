@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from .. import linalg
 from ..actions import ACTION_MIRROR, N_ACTIONS
 from ..apertures import eye_apertures, mouth_aperture
 from ..arrays import FloatArray, IntArray
@@ -180,7 +181,7 @@ class Neutral:
         neutral = cls(**values)
         turn = neutral.rotation
         sound = {
-            "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION_ERROR) and np.linalg.det(turn) > 0.0,
+            "rotation": np.allclose(turn @ turn.T, np.eye(3), atol=_ROTATION_ERROR) and linalg.det(turn) > 0.0,
             "position": neutral.position[0] > 0.0,
             "shut": 0.0 <= neutral.shut < MAX_SHUT,
             "removed": neutral.removed >= 0.0,

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from .. import linalg
 from ..arrays import FloatArray
 from ..errors import FacemimeError
 from ..tracking.smoothing import SHAPE_PARTS, ResultSmoother
@@ -229,7 +230,7 @@ def before_after(take: Take, mended: Take, part: str) -> Curves:
     if not known.any():
         return Curves(take.times, np.full(len(take), np.nan), mended.times, np.full(len(mended), np.nan))
     centre = before[known].mean(axis=0)
-    most = np.linalg.svd(before[known] - centre, full_matrices=False)[2][0]
+    most = linalg.svd(before[known] - centre, full_matrices=False)[2][0]
     return Curves(take.times, (before - centre) @ most, mended.times, (after - centre) @ most)
 
 

@@ -60,7 +60,7 @@ class ResponseMaps:
         """Mean position (n, 2) and total variance (n,) of each map."""
         count, height, width = self.likelihood.shape
         # Sums of 1, x, y and x^2 + y^2 by a single product; coordinates from the centre suit single precision.
-        sums = self.likelihood.reshape(count, -1) @ _powers(width, height)
+        sums = np.einsum("nc,pc->np", self.likelihood.reshape(count, -1), _powers(width, height))
         sums *= 1.0 / sums[:, :1]
         mean = sums[:, 1:3]
         variance = sums[:, 3] - np.square(mean).sum(axis=1)
@@ -141,10 +141,10 @@ def _middle(width: int, height: int) -> NDArray[np.float32]:
 
 @cache
 def _powers(width: int, height: int) -> NDArray[np.float32]:
-    """(height * width, 4): 1, x, y and x^2 + y^2 of each cell, from the middle of the map."""
+    """(4, height * width): 1, x, y and x^2 + y^2 of each cell, from the middle of the map."""
     x, y = np.tile(np.arange(width), height), np.repeat(np.arange(height), width)
     x, y = x - (width - 1) / 2.0, y - (height - 1) / 2.0
-    powers: NDArray[np.float32] = np.stack([np.ones(len(x)), x, y, x * x + y * y], axis=1).astype(np.float32)
+    powers: NDArray[np.float32] = np.stack([np.ones(len(x)), x, y, x * x + y * y]).astype(np.float32)
     return powers
 
 

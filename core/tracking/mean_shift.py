@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
-import cv2
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
+from ..arrays import FloatArray
 from .experts import ResponseMaps
-from .pdm import N_POSE, FittedShape, PointDistributionModel
+from .pdm import N_POSE, FittedShape, PointDistributionModel, normal_matrix, solve_normal
 
 
 @dataclass(frozen=True)
@@ -90,9 +89,14 @@ def regularised_mean_shift(
     prior = np.zeros(flat.shape[1])
     np.divide(options.regularisation, model.eigenvalues, out=prior[N_POSE:])
     of = np.concatenate([e.maps.landmarks for e in evidence])  # the landmark of each map
+
+    def of_rows(weights: FloatArray) -> FloatArray:
+        """Weights of the rows of the Jacobian, from those of the maps."""
+        return np.tile(np.bincount(of, weights, len(flat) // 2), 2)
+
     weights = trusted = np.concatenate([e.weights for e in evidence])
     scale = options.outlier_scale * np.concatenate([np.broadcast_to(e.tolerance, len(e.weights)) for e in evidence])
-    normal = _normal_matrix(flat, prior, of, weights)
+    normal = normal_matrix(flat, of_rows(weights), prior)
     # Equation 3.1 at the start: the derivative with respect to the scale, times the scale, is the untranslated
     # landmarks.
     landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
@@ -104,14 +108,12 @@ def regularised_mean_shift(
         if i and options.outlier_scale < inf:
             away = shifts if variance == inf else _shifts(evidence, places, inf)
             weights = trusted / (1.0 + np.square(away / scale[:, None]).sum(axis=1))
-            normal = _normal_matrix(flat, prior, of, weights)
+            normal = normal_matrix(flat, of_rows(weights), prior)
         # J^T W v, summed over the maps of each landmark, and the right-hand side of equation 3.4.
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
         right = np.concatenate(pull) @ flat
         right[N_POSE:] -= prior[N_POSE:] * (start.shape_params + moved[N_POSE:])
-        # Equation 3.4. OpenCV rather than numpy, whose threads wait for each other on a busy machine, even for so small
-        # a matrix.
-        delta = cv2.solve(normal, right, flags=cv2.DECOMP_CHOLESKY)[1][:, 0]
+        delta = solve_normal(normal, right)  # Equation 3.4.
         moved += delta
         landmarks += (flat @ delta).reshape(2, -1).T
     return model.step(start.pose, start.shape_params, moved)
@@ -125,12 +127,3 @@ def _shifts(evidence: Sequence[Evidence], places: FloatArray, variance: float) -
         out[own] = e.maps.shifts(places[own], inf if e.coarse else variance)
         first = own.stop
     return out
-
-
-def _normal_matrix(flat: FloatArray, prior: FloatArray, of: IntArray, weights: FloatArray) -> FloatArray:
-    """Assemble `r L + J^T W J` of equation 3.4 for maps of the landmarks `of` (n,) with `weights` (n,)."""
-    total = np.bincount(of, weights, len(flat) // 2)
-    normal = flat.T @ (flat * np.concatenate([total, total])[:, None])
-    # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
-    normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9
-    return np.asarray(normal)

@@ -8,13 +8,17 @@ single matrix product for all landmarks.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from typing import TypeVar
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from .experts import ResponseMaps
+from .network import Network
+from .onnx_products import rectified_products
 from .reference import translate_pose, warp_to_reference
 
 PATCH = 11
@@ -24,6 +28,7 @@ RADIUS = 2
 REACH = 0.95
 """Distance from the translation of the pose, in outer-eye distances, within which landmarks are sought; no face is
 larger."""
+_Number = TypeVar("_Number", bound=np.generic)
 _GREY = np.float32(128.0)
 CONTRAST_FLOOR = 4.0
 """Grey levels added to the deviation of a patch, so that the noise of flat ones is not amplified."""
@@ -121,10 +126,9 @@ class PatchExperts:
         crops = np.subtract(_crops(pixels, corner, side + PATCH - 1), _GREY, dtype=np.float32)
         # The last row of the product holds biases times deviation; dividing afterwards normalises each patch once (see
         # Notes).
-        deviation = _deviations(crops, side)
-        units = np.matmul(_patches(crops, side, deviation), self._hidden_with_bias)
-        np.maximum(units, 0.0, out=units)
-        score = np.matmul(units, self.output[:, :, None])[..., 0]
+        deviation = _crops(_deviations(pixels), corner, side).reshape(len(corner), -1)
+        (units,) = self._hidden_layers(_patches(crops, side, deviation))
+        score = np.einsum("nru,nu->nr", units[:, 0], self.output)
         score /= deviation
         score += self.output_bias[:, None]
         # The sigmoid, in place.
@@ -134,9 +138,11 @@ class PatchExperts:
         return np.reciprocal(score, out=score).reshape(len(corner), side, side), corner + HALF
 
     @cached_property
-    def _hidden_with_bias(self) -> NDArray[np.float32]:
-        """`hidden` with its bias as the last row, (N, 122, U)."""
-        return np.concatenate([self.hidden, self.hidden_bias[:, None]], axis=1)
+    def _hidden_layers(self) -> Network:
+        """Network of the hidden layers; the bias is the last row of each matrix."""
+        return Network(
+            rectified_products(np.concatenate([self.hidden, self.hidden_bias[:, None]], axis=1)), "rectified"
+        )
 
     def mirrored(self, order: IntArray) -> PatchExperts:
         """Return the experts of the mirrored view; `order` (N,) holds the counterpart of each landmark."""
@@ -151,33 +157,28 @@ class PatchExperts:
         )
 
 
-def _crops(pixels: NDArray[np.uint8], corner: IntArray, side: int) -> NDArray[np.uint8]:
+def _crops(pixels: NDArray[_Number], corner: IntArray, side: int) -> NDArray[_Number]:
     """Crop squares of an image whose first pixels are `corner` (N, 2), (N, side, side)."""
     height, width = pixels.shape
     every = (height - side + 1, width - side + 1, side, side)
-    squares: NDArray[np.uint8] = np.ndarray(every, np.uint8, pixels, 0, pixels.strides * 2)
-    out: NDArray[np.uint8] = squares[corner[:, 1], corner[:, 0]]
+    squares: NDArray[_Number] = np.ndarray(every, pixels.dtype, pixels, 0, pixels.strides * 2)
+    out: NDArray[_Number] = squares[corner[:, 1], corner[:, 0]]
     return out
 
 
-def _deviations(crops: NDArray[np.float32], side: int) -> NDArray[np.float32]:
-    """Standard deviation of each patch of the crops (N, S, S), with the floor added, (N, side * side)."""
-    flat = crops.reshape(len(crops), -1)
-    boxes = _boxes(crops.shape[1], side)
-    mean = flat @ boxes
-    out: NDArray[np.float32] = np.square(flat) @ boxes
-    out -= np.square(mean, out=mean)
-    np.maximum(out, 0.0, out=out)
-    out += np.float32(CONTRAST_FLOOR**2)
-    return np.sqrt(out, out=out)
+def _deviations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Standard deviation of each patch of an image, with the floor added, at the patch's first pixel."""
+    sums, squares = cv2.integral2(pixels)
+    mean, square = (_box_sums(np.asarray(table, np.float64)) * (1.0 / PATCH**2) for table in (sums, squares))
+    variance = np.maximum(square - mean * mean, 0.0) + CONTRAST_FLOOR**2
+    return np.asarray(np.sqrt(variance), dtype=np.float32)
 
 
-@cache
-def _boxes(span: int, side: int) -> NDArray[np.float32]:
-    """Matrix that maps a crop to the mean of each of its patches, (span * span, side * side)."""
-    first, step = np.arange(side), np.arange(span)[:, None]
-    covers = ((step >= first) & (step < first + PATCH)).astype(np.float32) / PATCH
-    return np.kron(covers, covers)
+def _box_sums(table: FloatArray) -> FloatArray:
+    """Sum over each patch of an image, from its integral image."""
+    below, above = table[PATCH:], table[:-PATCH]
+    out: FloatArray = below[:, PATCH:] - below[:, :-PATCH] - above[:, PATCH:] + above[:, :-PATCH]
+    return out
 
 
 def _patches(crops: NDArray[np.float32], side: int, deviation: NDArray[np.float32]) -> NDArray[np.float32]:

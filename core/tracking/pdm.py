@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import cos, pi, sin
 
+import cv2
 import numpy as np
 
 from ..arrays import FloatArray
@@ -271,12 +272,40 @@ def solve_update(
     Equation 3.4 (Saragih et al. 2011, equation 22).
     """
     flat = jacobian.reshape(-1, jacobian.shape[2])
-    weighted = (jacobian * weights[None, :, None]).reshape(flat.shape)
-    right = weighted.T @ shift.reshape(-1)
+    of_rows = np.concatenate([weights, weights])
+    right = (of_rows * shift.reshape(-1)) @ flat
     right[N_POSE:] -= prior[N_POSE:] * shape_params
-    normal = weighted.T @ flat
-    normal[np.diag_indices_from(normal)] += prior
+    return solve_normal(normal_matrix(flat, of_rows, prior), right)
+
+
+def normal_matrix(flat: FloatArray, weights: FloatArray, prior: FloatArray) -> FloatArray:
+    """Assemble the matrix of the normal equations, ``r L + J^T W J``.
+
+    Parameters
+    ----------
+    flat : (M, P) float64
+        `J`.
+    weights : (M,) float64
+        Diagonal of `W`.
+    prior : (P,) float64
+        Diagonal of `r L`.
+
+    Returns
+    -------
+    (P, P) float64
+        The matrix.
+
+    Notes
+    -----
+    By OpenCV, as are the solutions: numpy has no BLAS in Blender, and elsewhere its threads wait for each other on a
+    busy machine, even for so small a matrix.
+    """
+    normal = np.asarray(cv2.mulTransposed(flat * np.sqrt(weights)[:, None], aTa=True))
     # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
-    normal[np.diag_indices(N_POSE)] += 1e-9
-    solution: FloatArray = np.linalg.solve(normal, right)
-    return solution
+    normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9
+    return normal
+
+
+def solve_normal(normal: FloatArray, right: FloatArray) -> FloatArray:
+    """Solve the normal equations with the matrix `normal` (P, P) for a right-hand side (P,)."""
+    return np.asarray(cv2.solve(normal, right, flags=cv2.DECOMP_CHOLESKY)[1][:, 0])
