@@ -9,9 +9,14 @@ from numpy.typing import NDArray
 
 from .. import linalg
 from ..arrays import FloatArray
+from ..products import multiply
 
 _ROWS = 4
 """Number of frames processed at a time."""
+_SPARE, _POWER_ITERATIONS = 16, 2
+"""Mixtures of frames beyond the number of modes, and iterations, with which long motions are searched for modes."""
+_LONG = 4
+"""Number of frames per mixture from which a motion is long."""
 
 
 @dataclass(frozen=True)
@@ -52,16 +57,21 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
 
     Notes
     -----
-    The cost is O(N^2 V): singular vectors are found from the N x N Gram matrix, as N is far below 3 V.
+    The singular vectors of short motions are exact. Those of long ones are found within the span of a few mixtures of
+    the frames, refined by two power iterations (Halko, Martinsson & Tropp 2011, algorithm 4.4), as the exact ones would
+    cost O(N^2 V): here it is O(N V K).
     """
     frames, vertices = motion.shape[:2]
     flat = np.ascontiguousarray(motion, dtype=np.float32).reshape(frames, -1)
-    # Singular vectors from the Gram matrix, the strongest first, without those that consist of rounding errors.
-    values, vectors = linalg.eigh((flat @ flat.T).astype(np.float64))
+    # Singular vectors from a Gram matrix, the strongest first, without those that consist of rounding errors.
+    span = _span(flat, max_modes + _SPARE)
+    spanned = flat if span is None else multiply(span.T, flat)
+    values, vectors = linalg.eigh(multiply(spanned, spanned, transposed=True).astype(np.float64))
     strongest = values[-1] if values[-1] > 0 else 1.0
     order = [i for i in np.argsort(values)[::-1][:max_modes] if values[i] > 1e-10 * strongest]
+    modes = multiply((vectors[:, order] / np.sqrt(values[order])).T, spanned)
     weights = (vectors[:, order] * np.sqrt(values[order])).astype(np.float32)
-    modes = ((vectors[:, order] / np.sqrt(values[order])).T.astype(np.float32)) @ flat
+    weights = weights if span is None else multiply(span, weights)
     residual = flat.copy()
     count = 0
     worst = _subtract(residual, np.zeros(frames, np.float32), np.zeros(residual.shape[1], np.float32))
@@ -77,6 +87,20 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
         weights=np.ascontiguousarray(weights / peak),
         worst_error=worst,
     )
+
+
+def _span(flat: NDArray[np.float32], count: int) -> NDArray[np.float32] | None:
+    """Orthonormal columns (N, count) that nearly span the strongest left singular vectors of `flat` (N, 3 V).
+
+    None if there are too few frames for this to be worthwhile.
+    """
+    if len(flat) <= _LONG * count:
+        return None
+    mixed = multiply(np.random.default_rng(0).standard_normal((count, len(flat)), np.float32), flat)
+    for _ in range(_POWER_ITERATIONS):
+        mixed = multiply(linalg.qr(multiply(flat, mixed, transposed=True))[0].T, flat)
+    span: NDArray[np.float32] = linalg.qr(multiply(flat, mixed, transposed=True))[0]
+    return span
 
 
 def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode: NDArray[np.float32]) -> float:

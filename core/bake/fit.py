@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import FloatArray
+from ..products import multiply
 from .least_squares import bounded_least_squares
 
 RIDGE = 1e-4
@@ -86,7 +86,7 @@ def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tup
     worst, total = 0.0, 0.0
     for n in range(0, len(motion), _ROWS):
         part = motion[n : n + _ROWS]
-        mixed: NDArray[np.float32] = weights[n : n + _ROWS].astype(np.float32) @ flat
+        mixed = multiply(weights[n : n + _ROWS], flat)
         squared = np.square(mixed.reshape(part.shape) - part).sum(axis=2, dtype=np.float64)
         worst, total = max(worst, float(squared.max(initial=0.0))), total + float(squared.sum())
     return float(np.sqrt(worst)), float(np.sqrt(total / max(motion.shape[0] * motion.shape[1], 1)))

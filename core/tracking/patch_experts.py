@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
+from ..onnx import Node, encode_network
 from .experts import ResponseMaps
 from .network import Network
-from .onnx_products import rectified_products
 from .reference import translate_pose, warp_to_reference
 
 PATCH = 11
@@ -139,10 +139,14 @@ class PatchExperts:
 
     @cached_property
     def _hidden_layers(self) -> Network:
-        """Network of the hidden layers; the bias is the last row of each matrix."""
-        return Network(
-            rectified_products(np.concatenate([self.hidden, self.hidden_bias[:, None]], axis=1)), "rectified"
-        )
+        """Network of the hidden layers, from patches (N, 1, R, 122) to units (N, 1, R, U).
+
+        OpenCV takes a tenth of the time of numpy without a BLAS, which Blender has.
+        """
+        matrices = np.concatenate([self.hidden, self.hidden_bias[:, None]], axis=1)[:, None]
+        nodes = [Node("MatMul", ("patches", "matrices"), "sums"), Node("Relu", ("sums",), "units")]
+        shape = (len(matrices), 1, 1, matrices.shape[2])
+        return Network(encode_network(nodes, {"patches": shape}, {"matrices": matrices}), "units")
 
     def mirrored(self, order: IntArray) -> PatchExperts:
         """Return the experts of the mirrored view; `order` (N,) holds the counterpart of each landmark."""

@@ -23,6 +23,21 @@ def test_the_basis_keeps_every_vertex_of_every_frame_within_the_tolerance(seed, 
     assert np.abs(basis.weights).max(initial=0.0) <= 1.0 + 1e-6
 
 
+@settings(max_examples=5)
+@given(st.integers(0, 10_000))
+def test_the_modes_of_a_long_motion_are_as_few_as_those_of_singular_vectors(seed):
+    rng = np.random.default_rng(seed)
+    amounts = rng.normal(size=(500, 60)) * 0.8 ** np.arange(60)
+    motion = np.einsum("nk,kvd->nvd", amounts, rng.normal(size=(60, 100, 3))).astype(np.float32)
+    basis = fit_basis(motion, 0.05, max_modes=60)
+    left, values, right = np.linalg.svd(motion.reshape(500, -1), full_matrices=False)
+    best = left[:, : len(basis.modes)] * values[: len(basis.modes)] @ right[: len(basis.modes)]
+    away = np.linalg.norm(best.reshape(motion.shape) - motion, axis=2).max()
+    assert basis.worst_error <= 0.05 and basis.worst_error <= 1.05 * away + 1e-4
+    rebuilt = np.einsum("nk,kvd->nvd", basis.weights, basis.modes)
+    np.testing.assert_allclose(np.linalg.norm(rebuilt - motion, axis=2).max(), basis.worst_error, atol=1e-4)
+
+
 def test_a_motion_at_rest_needs_no_mode():
     basis = fit_basis(np.zeros((10, 5, 3), np.float32), 0.01)
     assert basis.modes.shape == (0, 5, 3) and basis.weights.shape == (10, 0) and basis.worst_error == 0.0

@@ -7,8 +7,6 @@ import numpy as np
 import pytest
 
 from facemime.core.landmarks import MIRROR
-from facemime.core.tracking.network import Network
-from facemime.core.tracking.onnx_products import rectified_products
 from facemime.core.tracking.patch_experts import CONTRAST_FLOOR, HALF, PATCH, PatchExperts
 
 
@@ -70,11 +68,3 @@ def test_maps_are_centred_on_the_landmarks_in_the_face_frame() -> None:
     assert np.abs(centre - shape).max() <= 0.5 / experts.scale + 1e-6
     np.testing.assert_allclose(maps.likelihood.max((1, 2)), highest**2, rtol=1e-5)
     assert ((highest > 0) & (highest < 1)).all()
-
-
-def test_products_by_opencv_equal_those_of_numpy() -> None:
-    rng = np.random.default_rng(3)
-    matrices = rng.normal(size=(5, 7, 300)).astype(np.float32)
-    rows = rng.normal(size=(5, 9, 7)).astype(np.float32)
-    (found,) = Network(rectified_products(matrices), "rectified")(rows)
-    np.testing.assert_allclose(found[:, 0], np.maximum(rows @ matrices, 0.0), rtol=1e-5, atol=1e-5)
