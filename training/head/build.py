@@ -125,21 +125,21 @@ def build_files(source: Source) -> dict[str, bytes]:
 def cut_pattern(source: Source) -> Pattern:
     """Choose the vertices and the regions on the man's head."""
     base = source.base_mesh()
-    points = head_points(source, base, MAN)
+    points = head_points(source, base, MAN.identity)
     scalp = inside_hairline(points, MAN.look.hairline) > _SCALP
-    surface = build_surface(base, _on_body(source, base, MAN), scalp)
+    surface = build_surface(base, _on_body(source, base, MAN.identity), scalp)
     landmarks = surface.vertex_of(landmark_vertices(base.mirror))
     return Pattern(base, surface, region_weights(surface, _shape(base, surface, points), landmarks))
 
 
-def _on_body(source: Source, base: BaseMesh, person: Person) -> NDArray[np.float64]:
+def _on_body(source: Source, base: BaseMesh, face: identity.Identity) -> NDArray[np.float64]:
     """Vertices of hm08 with a person's face, (N, 3), in the axes of the head frame, with the origin of hm08."""
-    return np.asarray((base.vertices + identity_offsets(source, person.identity)) * TO_HEAD)
+    return np.asarray((base.vertices + identity_offsets(source, face)) * TO_HEAD)
 
 
-def head_points(source: Source, base: BaseMesh, person: Person) -> NDArray[np.float64]:
+def head_points(source: Source, base: BaseMesh, face: identity.Identity) -> NDArray[np.float64]:
     """Vertices of hm08 with a person's face, (N, 3), head frame."""
-    points = _on_body(source, base, person)
+    points = _on_body(source, base, face)
     tragi = points[landmark_vertices(base.mirror)[[0, 16]]]
     return np.asarray(points - (tragi.mean(axis=0) + TRAGUS_TO_CENTRE))
 
@@ -153,7 +153,7 @@ def _shape(base: BaseMesh, surface: Surface, points: NDArray[np.float64]) -> NDA
 def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
     """A head's shape, landmarks, regions, face units and parts."""
     base, surface = pattern.base, pattern.surface
-    points = head_points(source, base, person)
+    points = head_points(source, base, person.identity)
     shape = _shape(base, surface, points)
     native_landmarks = landmark_vertices(base.mirror)
     landmarks = surface.vertex_of(native_landmarks)
