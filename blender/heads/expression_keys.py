@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
 
 import bpy
@@ -42,9 +42,9 @@ class MadeKeys:
     Attributes
     ----------
     added : int
-        Keys of the head that were added.
+        Keys of the head that were added, or existed without a motion.
     kept : tuple of str
-        Those that existed already.
+        Those that existed already, with a motion.
     qualities : list of KeyQuality
         Of those that were added.
     takes : int
@@ -76,7 +76,10 @@ def make_expression_keys(
 
 
 def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Sequence[Take] = ()) -> Work[MadeKeys]:
-    """Add a set of shape keys to all meshes of a head that they move; existing keys of these names are kept.
+    """Add a set of shape keys to all meshes of a head that they move.
+
+    Existing keys of these names are kept, unless they move no vertex of the head: some exporters add names without
+    motion.
 
     Parameters
     ----------
@@ -118,31 +121,58 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
 
     names, motions = yield made
     qualities = yield Task(lambda: key_qualities(rig, keys, motions), _MAKING)
+    moving = _moving(moved, names, _STILL * rig.eye_distance)
     added: list[str] = []
     for member in members:
         if member.obj != obj and np.abs(motions[:, member.part]).max() < _STILL * rig.eye_distance:
             continue
-        new = _add(member.obj, names, member.local_offsets(motions))
+        new = _add(member.obj, names, member.local_offsets(motions), moving)
         added = new if member.obj == obj else added
     for child in attached:
-        _add_to_part(child, keys)
+        _add_to_part(child, keys, moving)
     own = [quality for quality in qualities if quality.name in added]
     return MadeKeys(len(added), tuple(name for name in names if name not in added), own, len(shown))
 
 
-def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray) -> list[str]:
-    """Add keys with displacements (K, V, 3) in the axes of the mesh, and return the names of those that are new."""
+def _moving(meshes: Iterable[bpy.types.Object], names: Sequence[str], still: float) -> set[str]:
+    """Names of the shape keys that move a vertex of some mesh by more than `still`, in its unit."""
+    found = set()
+    for keys in (mesh.data.shape_keys for mesh in meshes if mesh.data.shape_keys is not None):
+        rest = _places(keys.reference_key)
+        for name in names:
+            key = keys.key_blocks.get(name)
+            if key is not None and name not in found and np.abs(_places(key) - rest).max(initial=0.0) > still:
+                found.add(name)
+    return found
+
+
+def _places(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    out = np.empty(3 * len(key.points), dtype=np.float32)
+    key.points.foreach_get("co", out)
+    return out
+
+
+def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray, moving: Container[str]) -> list[str]:
+    """Add keys with displacements (K, V, 3) in the axes of the mesh, except for existing ones that are `moving`.
+
+    Return the names of those that were added or filled.
+    """
     if obj.data.shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
     keys = obj.data.shape_keys
-    rest = np.empty(3 * len(obj.data.vertices), dtype=np.float32)
-    keys.reference_key.points.foreach_get("co", rest)
-    missing = [(name, row) for name, row in zip(names, offsets, strict=True) if name not in keys.key_blocks]
-    for name, row in missing:
-        key = obj.shape_key_add(name=name, from_mix=False)
+    rest = _places(keys.reference_key)
+    written = [
+        (name, row)
+        for name, row in zip(names, offsets, strict=True)
+        if name not in keys.key_blocks or (name not in moving and row.any())
+    ]
+    for name, row in written:
+        key = keys.key_blocks.get(name)
+        if key is None:
+            key = obj.shape_key_add(name=name, from_mix=False)
+            key.value = 0.0  # since Blender 5.0 the default is 1
         key.points.foreach_set("co", rest + row.reshape(-1))
-        key.value = 0.0  # since Blender 5.0 the default is 1
-    return [name for name, _ in missing]
+    return [name for name, _ in written]
 
 
 def _part_of(obj: bpy.types.Object) -> HeadPart | None:
@@ -153,11 +183,11 @@ def _part_of(obj: bpy.types.Object) -> HeadPart | None:
     return min(alike, key=lambda part: float(np.ptp(part.vertices - rest, axis=0).max()), default=None)
 
 
-def _add_to_part(obj: bpy.types.Object, keys: KeySet) -> None:
+def _add_to_part(obj: bpy.types.Object, keys: KeySet, moving: Container[str]) -> None:
     """Add those keys of a set that move it to an eye, the teeth or the tongue of a built-in head."""
     part = _part_of(obj)
     if part is None:
         return
     offsets = np.einsum("ku,uvc->kvc", keys.mixtures, part.units)
     if np.abs(offsets).max() > _RESTS:
-        _add(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32))
+        _add(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32), moving)

@@ -114,6 +114,25 @@ def test_the_eyes_and_teeth_of_the_built_in_head_get_a_set_too():
     assert again.added == 0 and len(again.kept) == 18 and not again.qualities and not again.findings
 
 
+def test_keys_of_these_names_without_a_motion_are_filled(scan):
+    head = scan
+    head.shape_key_add(name="Basis", from_mix=False)
+    _, own = (head.shape_key_add(name=name, from_mix=False) for name in ("jawOpen", "mouthClose"))
+    own.points[0].co.x += 0.01
+    places = np.empty(3 * len(own.points), np.float32)
+    own.points.foreach_get("co", places)
+    made = make_expression_keys(head, KEY_SETS["arkit"])
+    assert made.added == 51 and made.kept == ("mouthClose",)
+    keys = head.data.shape_keys
+    assert len(keys.key_blocks) == 53
+    rest, filled, kept = (np.empty_like(places) for _ in range(3))
+    for name, out in ((keys.reference_key.name, rest), ("jawOpen", filled), ("mouthClose", kept)):
+        keys.key_blocks[name].points.foreach_get("co", out)
+    assert np.abs(filled - rest).max() > 1e-3
+    np.testing.assert_array_equal(kept, places)
+
+
+
 @pytest.mark.parametrize("name", first_of(["vrm", "arkit", "facegen"]))
 def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, name):
     objects = keyed(name)
