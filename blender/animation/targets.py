@@ -6,13 +6,18 @@ The delta transform leaves the location and rotation of the object to the artist
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import pi
 
 import bpy
 import numpy as np
 from mathutils import Euler, Matrix, Vector
 from numpy.typing import NDArray
 
+from ...core.arrays import IntArray
+from ...core.drive.eyes import eye_strength
+from ...core.drive.posing import limit_rotation
 from ...core.errors import HeadError
+from ...core.landmarks import EYE_CORNERS
 from ..actions import Curve, animated_paths, mute_paths
 from ..characters import (
     objects_of,
@@ -24,7 +29,7 @@ from ..characters import (
     rest_rotation,
 )
 from ..frames import rotation_to_blender, to_blender
-from ..meshes import exists
+from ..meshes import exists, read_places, read_vertices
 from ..names import PIVOT_PROPERTY
 
 FloatArray = NDArray[np.floating]
@@ -46,6 +51,8 @@ class PoseTarget:
         head.
     still : bool
         Whether it keeps its own animation and does not follow the pose.
+    strength : float
+        Factor of the angles of rotations.
     """
 
     obj: bpy.types.Object
@@ -53,6 +60,7 @@ class PoseTarget:
     head: bpy.types.Object | None = None
     pivot: tuple[float, float, float] | None = None
     still: bool = False
+    strength: float = 1.0
 
     @classmethod
     def of(cls, obj: bpy.types.Object, bone: str = "", head: bpy.types.Object | None = None) -> PoseTarget:
@@ -102,6 +110,9 @@ class PoseTarget:
     def turned(self, rotation: FloatArray) -> FloatArray:
         """Convert (..., 3, 3) rotations from the head frame to the target's channels."""
         axes = self._axes()
+        if self.strength != 1.0:
+            every = [limit_rotation(one, self.strength, pi) for one in np.reshape(rotation, (-1, 3, 3))]
+            rotation = np.reshape(every, np.shape(rotation))
         return np.asarray(axes @ rotation_to_blender(rotation) @ axes.T)
 
     def moved(self, translation: FloatArray) -> FloatArray:
@@ -263,10 +274,19 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
         targets = {"head": PoseTarget(head, head=head, pivot=None if pivot is None else tuple(pivot))}
     else:
         targets = {"head": _bone_target(armature, bones.head, head)}
-    for eye in ("eye_left", "eye_right"):
+    for eye, corners in (("eye_left", EYE_CORNERS[2:]), ("eye_right", EYE_CORNERS[:2])):
         if armature is not None and (bone := getattr(bones, eye)):
-            targets[eye] = _bone_target(armature, bone, head)
+            target = _bone_target(armature, bone, head)
+            targets[eye] = replace(target, strength=_eye_strength(head, target, corners))
     return targets
+
+
+def _eye_strength(head: bpy.types.Object, target: PoseTarget, corners: IntArray) -> float:
+    """Return the factor of the rotations of a bone that keeps the iris between the lids."""
+    to_world = rest_matrix(head)
+    places = to_blender(read_vertices(head.data)[read_places(head)[corners]])
+    pivot = rest_matrix(target.obj) @ target.obj.data.bones[target.bone].head_local
+    return eye_strength(np.array(pivot), np.array([to_world @ Vector(place) for place in places.tolist()]))
 
 
 def _bone_target(armature: bpy.types.Object, bone: str, head: bpy.types.Object) -> PoseTarget:

@@ -132,7 +132,6 @@ def test_keys_of_these_names_without_a_motion_are_filled(scan):
     np.testing.assert_array_equal(kept, places)
 
 
-
 @pytest.mark.parametrize("name", first_of(["vrm", "arkit", "facegen"]))
 def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, name):
     objects = keyed(name)

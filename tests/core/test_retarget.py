@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from facemime.core.apertures import lid_gaps
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.eyes import _LASTING, _PARALLEL, EyeDriver, gaze_at_viewer
+from facemime.core.drive.eyes import _LASTING, _LIMIT, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
 from facemime.core.drive.retarget import _WIDENING_GAIN, Retargeter
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.built_in import load_head
@@ -293,3 +293,13 @@ def test_flat_performers_and_flat_heads_have_different_errors():
         Retargeter(flat, landmarks)
     with pytest.raises(HeadError, match="Bind them"):
         Retargeter(landmarks, flat)
+
+
+def test_an_eye_that_turns_about_a_far_point_turns_less_so_that_its_iris_stays_between_the_lids():
+    corners = np.array([[-0.5, 0.0, 0.0], [-0.18, 0.0, 0.0]])
+    middle, half_width = corners.mean(axis=0), 0.16
+    assert eye_strength(middle + [0.0, 0.0, 0.13], corners) == 1.0
+    far = eye_strength(middle + [0.1, 0.0, 0.5], corners)
+    moved = np.hypot(0.1, 0.5) * np.sin(far * _LIMIT[1])
+    assert 0.45 * half_width < moved < 0.52 * half_width
+    assert eye_strength(middle, corners) == 1.0
