@@ -20,31 +20,40 @@ _KEPT = local()
 
 
 def multiply(left: FloatArray, right: FloatArray, *, transposed: bool = False) -> NDArray[np.float32]:
-    """Multiply two matrices.
+    """Multiply two matrices, or the matrices of two stacks.
 
     Parameters
     ----------
-    left : (M, K) array
+    left : (M, K) or (B, M, K) array
         `A`.
-    right : (K, N) array, or (N, K) if transposed
+    right : (K, N) or (B, K, N) array; (N, K) if transposed
         `B`.
     transposed : bool
-        Whether to return ``A B^T`` rather than ``A B``.
+        Whether to return ``A B^T`` rather than ``A B``; not for stacks.
 
     Returns
     -------
-    (M, N) float32
+    (M, N) or (B, M, N) float32
         The product.
     """
     if not left.size or not right.size:
-        return np.zeros((len(left), len(right) if transposed else right.shape[1]), np.float32)
-    name = "transposed" if transposed else "plain"
-    network = getattr(_KEPT, name, None)
-    if network is None:
-        node = Node("Gemm", ("left", "right"), "product", {"transB": int(transposed)})
-        encoded = encode_network([node], {"left": (1, 1), "right": (1, 1)})
-        network = cv2.dnn.readNetFromONNX(np.frombuffer(encoded, np.uint8))
-        setattr(_KEPT, name, network)
+        return np.zeros((*left.shape[:-1], len(right) if transposed else right.shape[-1]), np.float32)
+    network = _network(left.ndim, transposed)
     for side, values in (("left", left), ("right", right)):
         network.setInput(np.ascontiguousarray(values, dtype=np.float32), side)
     return np.asarray(network.forward())
+
+
+def _network(dimensions: int, transposed: bool) -> cv2.dnn.Net:
+    """Return this thread's network for products of matrices or of stacks."""
+    name = f"{dimensions} {transposed}"
+    network = getattr(_KEPT, name, None)
+    if network is None:
+        sides = ("left", "right")
+        node = Node("MatMul", sides, "product")
+        if dimensions == 2:
+            node = Node("Gemm", sides, "product", {"transB": int(transposed)})
+        encoded = encode_network([node], dict.fromkeys(sides, (1,) * dimensions))
+        network = cv2.dnn.readNetFromONNX(np.frombuffer(encoded, np.uint8))
+        setattr(_KEPT, name, network)
+    return network

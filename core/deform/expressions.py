@@ -25,6 +25,7 @@ from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..mesh.kernels import distances
 from ..mesh.nearest import NearestPoints
 from ..mesh.warp import Warp
+from ..products import multiply
 from .skin import SkinCovariance, skin_covariance
 
 FORMAT = "facemime-expressions-1"
@@ -214,7 +215,7 @@ def learnt_covariance(
 
     def term(rows: IntArray) -> FloatArray:
         near = np.exp(-0.5 * np.square(distances(places[rows], places[landmarks]) / REACH))
-        return np.asarray(LEARNT_WEIGHT * near * (features[rows] @ features[landmarks].T))
+        return np.asarray(LEARNT_WEIGHT * near * multiply(features[rows], features[landmarks], transposed=True))
 
     joined = np.flatnonzero(skin.joined)
     for start in range(0, len(joined), _CHUNK):

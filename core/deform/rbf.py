@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -346,10 +347,10 @@ def _solve(
     """Compute the matrix of a fit for the vertices `rows`; `evaluation` returns the kernel from them to its points."""
     matrix = np.empty((len(rows), len(columns)), dtype=np.float32)
     # A product with the inverse is much faster than solving, and accurate, as `MAX_CONDITION` limits the condition.
-    inverse = linalg.inv(system)
+    inverse, nothing = linalg.inv(system), np.empty((0, 0))
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK]
-        matrix[start : start + _CHUNK] = (evaluation(part) @ inverse) * share[part, None]
+        matrix[start : start + _CHUNK] = cv2.gemm(evaluation(part), inverse, 1.0, nothing, 0.0) * share[part, None]
     return RegionMatrix(rows, columns, matrix)
 
 

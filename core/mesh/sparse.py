@@ -15,6 +15,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from .. import linalg
 from ..arrays import FloatArray, IntArray
+from ..products import multiply
 
 _LEAF = 64
 """Number of unknowns up to which a part is not divided further, as dense elimination is then faster."""
@@ -172,7 +173,7 @@ class NestedDissection:
             own = batch.own[used]
             if len(own):
                 carry = batch.back[used][:, :, own.shape[1] :]
-                update = carry.transpose(0, 2, 1) @ x.take(own, axis=0)
+                update = _products(carry.transpose(0, 2, 1), x.take(own, axis=0))
                 if batch.sums is not None:
                     update += x.take(batch.sums[used], axis=0)
                 # Within a batch no two nodes have the same parent, so no row is a target twice, except for padding.
@@ -181,7 +182,7 @@ class NestedDissection:
 
     def _backward(self, x: FloatArray) -> None:
         for batch in reversed(self._batches):
-            x[batch.own] = batch.back @ x.take(batch.both, axis=0)
+            x[batch.own] = _products(batch.back, x.take(batch.both, axis=0))
 
     def _find_couplings(self, low: NDArray[np.intp], high: NDArray[np.intp]) -> NDArray[np.intp]:
         """Pairs of a node and a later unknown coupled to it or to a node below it, as sorted ``node N + unknown``."""
@@ -260,11 +261,11 @@ class NestedDissection:
                 # 4. Eliminate `own`. The products are stored for the solution.
                 inverse = _inverse(fronts[:, :width, :width])
                 coupling = fronts[:, :width, width:-1]
-                carry = inverse @ coupling
+                carry = _products(inverse, coupling)
                 back = np.concatenate([inverse, -carry], axis=2)
                 # 5. The Schur complement updates the front of the parent.
                 if level:
-                    update = coupling.transpose(0, 2, 1) @ carry
+                    update = _products(coupling.transpose(0, 2, 1), carry)
                     update -= fronts[:, width:-1, width:-1]
                     parent = nodes[:, None] >> _BITS
                     slot = np.where(padding, strides[parent] - 1, slots[couplings])
@@ -324,6 +325,11 @@ def _halve(places: FloatArray, depth: int) -> NDArray[np.intp]:
     parts = np.empty(count, dtype=np.intp)
     parts[order] = np.arange(len(order))[:, None]
     return parts
+
+
+def _products(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Multiply the matrices of two stacks, in their precision."""
+    return multiply(left, right) if left.dtype == np.float32 else np.matmul(left, right)
 
 
 def _inverse(matrices: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
