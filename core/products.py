@@ -17,6 +17,8 @@ from .onnx import Node, encode_network
 
 _KEPT = local()
 """OpenCV keeps the buffers of a call in a network, so each thread has its own."""
+_KEPT_SIZE = 1 << 20
+"""Largest number of entries of a matrix after which the network is kept."""
 
 
 def multiply(left: FloatArray, right: FloatArray, *, transposed: bool = False) -> NDArray[np.float32]:
@@ -38,22 +40,21 @@ def multiply(left: FloatArray, right: FloatArray, *, transposed: bool = False) -
     """
     if not left.size or not right.size:
         return np.zeros((*left.shape[:-1], len(right) if transposed else right.shape[-1]), np.float32)
-    network = _network(left.ndim, transposed)
+    name = f"{left.ndim} {transposed}"
+    network = getattr(_KEPT, name, None) or _network(left.ndim, transposed)
     for side, values in (("left", left), ("right", right)):
         network.setInput(np.ascontiguousarray(values, dtype=np.float32), side)
-    return np.asarray(network.forward())
+    product = np.asarray(network.forward())
+    # Its buffers remain as large as the last product.
+    setattr(_KEPT, name, network if max(left.size, right.size, product.size) <= _KEPT_SIZE else None)
+    return product
 
 
 def _network(dimensions: int, transposed: bool) -> cv2.dnn.Net:
-    """Return this thread's network for products of matrices or of stacks."""
-    name = f"{dimensions} {transposed}"
-    network = getattr(_KEPT, name, None)
-    if network is None:
-        sides = ("left", "right")
-        node = Node("MatMul", sides, "product")
-        if dimensions == 2:
-            node = Node("Gemm", sides, "product", {"transB": int(transposed)})
-        encoded = encode_network([node], dict.fromkeys(sides, (1,) * dimensions))
-        network = cv2.dnn.readNetFromONNX(np.frombuffer(encoded, np.uint8))
-        setattr(_KEPT, name, network)
-    return network
+    """Return a network for products of matrices or of stacks."""
+    sides = ("left", "right")
+    node = Node("MatMul", sides, "product")
+    if dimensions == 2:
+        node = Node("Gemm", sides, "product", {"transB": int(transposed)})
+    encoded = encode_network([node], dict.fromkeys(sides, (1,) * dimensions))
+    return cv2.dnn.readNetFromONNX(np.frombuffer(encoded, np.uint8))

@@ -5,6 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
+from facemime.core import products
 from facemime.core.products import multiply
 
 
@@ -35,3 +36,14 @@ def test_threads_multiply_at_once() -> None:
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda some: [multiply(a, b) for a, b in some], pairs))
     np.testing.assert_allclose(np.array(found), pairs[:, :, 0] @ pairs[:, :, 1], atol=1e-4)
+
+
+def test_a_large_product_leaves_no_buffers_behind() -> None:
+    large = np.ones((2_000, 2_000), np.float32)
+    np.testing.assert_array_equal(multiply(large, large), np.full((2_000, 2_000), 2_000.0))
+    assert getattr(products._KEPT, "2 False") is None
+    small = np.eye(3, dtype=np.float32)
+    multiply(small, small)
+    kept = getattr(products._KEPT, "2 False")
+    np.testing.assert_array_equal(multiply(2.0 * small, small), 2.0 * small)
+    assert kept is not None and getattr(products._KEPT, "2 False") is kept
