@@ -105,7 +105,6 @@ browser:
 bench: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
-	numpy=$$(PYTHON=$(PYTHON) sh tools/plain_numpy.sh) && PYTHONPATH=$$numpy $(BIN)/python -m bench.pipeline --plain --json build/bench/pipeline_plain.json
 	$(BIN)/python -m bench.live --json build/bench/live.json
 	$(BIN)/python -m bench.takes --json build/bench/takes.json
 
