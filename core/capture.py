@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from .closing import Closing
 from .errors import SourceError
+from .opencv import silence_opencv
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
@@ -74,7 +75,7 @@ class VideoSource(Closing):
         self.path = Path(path)
         require_file(self.path)
         require_utf8_name(self.path)
-        cv2.setLogLevel(0)
+        silence_opencv()
         # FFmpeg takes text before a colon for a protocol, unless the path begins with a slash.
         self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():

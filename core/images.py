@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from .capture import require_file
 from .errors import OutputError, SourceError
 from .files import replacing
+from .opencv import silence_opencv
 from .picture_size import stated_size
 from .reading import read_bytes
 
@@ -33,7 +34,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
     """
     path = Path(path)
     require_file(path)
-    cv2.setLogLevel(0)
+    silence_opencv()
     try:
         data = read_bytes(path, _MAX_FILE)
         size = stated_size(data)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from .arrays import FloatArray
 from .onnx import Node, encode_network
+from .opencv import read_network
 
 _KEPT = local()
 """OpenCV keeps the buffers of a call in a network, so each thread has its own."""
@@ -56,5 +57,4 @@ def _network(dimensions: int, transposed: bool) -> cv2.dnn.Net:
     node = Node("MatMul", sides, "product")
     if dimensions == 2:
         node = Node("Gemm", sides, "product", {"transB": int(transposed)})
-    encoded = encode_network([node], dict.fromkeys(sides, (1,) * dimensions))
-    return cv2.dnn.readNetFromONNX(np.frombuffer(encoded, np.uint8))
+    return read_network(encode_network([node], dict.fromkeys(sides, (1,) * dimensions)))

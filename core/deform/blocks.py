@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from .. import linalg
 from ..onnx import Node, encode_network
+from ..opencv import read_network
 from ..products import multiply
 
 TOLERANCE = 5e-4
@@ -108,8 +109,7 @@ class BlockProduct:
             nodes.append(_inner_product(amounts, f"block {i}", f"moved {i}", len(piece)))
         if len(pieces) > 1:
             nodes.append(Node("Concat", tuple(f"moved {i}" for i in range(len(pieces))), "moved", {"axis": 1}))
-        encoded = encode_network(nodes, {"displacements": self._inputs.shape}, constants)
-        self._network = cv2.dnn.readNetFromONNX(np.frombuffer(encoded, np.uint8))
+        self._network = read_network(encode_network(nodes, {"displacements": self._inputs.shape}, constants))
         self.nbytes = sum(constant.nbytes for constant in constants.values())
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:

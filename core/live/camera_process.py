@@ -41,7 +41,7 @@ def _end_with_the_caller() -> None:
 def _stream(out: Any) -> None:
     import cv2
 
-    cv2.setLogLevel(0)
+    getattr(cv2.utils, "logging", cv2).setLogLevel(0)
     device, width, height, rate = sys.argv[2], int(sys.argv[3]), int(sys.argv[4]), float(sys.argv[5])
     number = int(device) if device.isdecimal() else None
     capture = _opened(cv2, device, number, width, height, rate)

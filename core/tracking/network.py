@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ModelError
+from ..opencv import network_error, read_network
 
 
 class Network:
@@ -17,16 +17,13 @@ class Network:
     Raises
     ------
     ModelError
-        If OpenCV cannot read the network.
+        As `read_network`.
     """
 
     def __init__(self, onnx: bytes, *outputs: str) -> None:
         self.onnx = onnx
         self._outputs = list(outputs)
-        try:
-            self._net = cv2.dnn.readNetFromONNX(np.frombuffer(onnx, np.uint8))
-        except cv2.error as error:
-            raise _refused("read") from error
+        self._net = read_network(onnx)
 
     def __call__(self, images: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         """Return the outputs for standardised images (B, H, W), in the order of their names."""
@@ -34,7 +31,7 @@ class Network:
             self._net.setInput(images[:, None])
             return tuple(np.asarray(out, np.float32) for out in self._net.forward(self._outputs))
         except cv2.error as error:
-            raise _refused("run") from error
+            raise network_error("run") from error
 
     def check(self, size: tuple[int, int], *shapes: tuple[int, ...]) -> None:
         """Check the shapes of the outputs.
@@ -57,10 +54,3 @@ class Network:
                 raise ValueError(
                     f"output {name} of a network has the shape {output.shape}, not {shape}, or is not finite"
                 )
-
-
-def _refused(what: str) -> ModelError:
-    return ModelError(
-        f"OpenCV {cv2.__version__} cannot {what} a network of the tracker model. "
-        "Install opencv-contrib-python-headless 4.11, or reinstall Facemime."
-    )
