@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -43,6 +43,8 @@ PERFORMER = Identity(
     },
 )
 
+_LOOK = replace(complexion.MAN, hair_lift=0.0042)
+"""The man's, with painted hair of its own height, which no geometry covers."""
 _CROP_LOW, _CROP_SIZE = np.array([0.31, 0.14]), 0.69
 """The square of the native texture that the head's island fills."""
 
@@ -118,7 +120,7 @@ def build_actor(source: Source, skin: Path) -> Actor:
     ear = _ears(base, chart)
     texture = _texture(points, skins["head"], ear, points[landmarks], skin)
     head_faces = base.faces[chart == FACE]
-    lifted = points + crop_lift(points, ear, complexion.MAN)[:, None] * vertex_normals(points, head_faces)
+    lifted = points + crop_lift(points, ear, _LOOK)[:, None] * vertex_normals(points, head_faces)
     shirt = base.groups == "helper-tights"
     rows = np.unique(base.faces[shirt])
     lifted[rows] += 0.004 * vertex_normals(points, base.faces[shirt])[rows]
@@ -185,13 +187,13 @@ def _texture(
     lash = distance_to_line(folded, points[[*LOWER_LID_EDGE]])
     mix(image, (0.16, 0.10, 0.09), 0.55 * fade(lash, 0.0008, 0.0002))
     view = FrontView((-0.08, -0.07), (0.08, 0.04), 0.00006)
-    brow_strokes(view, landmarks[from_ibug(range(22, 27)), :2], complexion.MAN.brow, np.random.default_rng(21))
+    brow_strokes(view, landmarks[from_ibug(range(22, 27)), :2], _LOOK.brow, np.random.default_rng(21))
     facing = fade(place[..., 2], -0.040, -0.055)
     soft = cv2.GaussianBlur(view.ink, (0, 0), 14.0)
     for ink, strength in ((soft, 0.55), (view.ink, 0.80)):
         view.ink = ink
         mix(image, _HAIR, strength * np.clip(1.2 * view.look_up(place), 0.0, 1.0) * facing)
-    cover, shade = crop(place, texels.value[..., 0], complexion.MAN)
+    cover, shade = crop(place, texels.value[..., 0], _LOOK)
     tint = np.empty_like(image)
     tint[:] = _HAIR
     tint *= (shade * (1.0 + 0.12 * noise(place, 0.012, 5)))[..., None]
