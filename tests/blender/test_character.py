@@ -21,9 +21,8 @@ from facemime.blender.characters import (
     read_bones,
     read_kinds,
     rest_matrix,
-    write_bones,
 )
-from facemime.blender.frames import rotation_to_blender, to_blender
+from facemime.blender.frames import rotation_to_blender
 from facemime.blender.heads.binding import bind_character, check_object
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import HEAD_PROPERTY
@@ -31,11 +30,9 @@ from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.heads.bones import FaceBones
 from facemime.core.heads.parts import Part
-from facemime.core.landmarks import EYE_CORNERS, outer_eye_distance
+from facemime.core.landmarks import outer_eye_distance
 from facemime.core.puppet.settings import PuppetSettings
-from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from takes import performance
@@ -129,31 +126,6 @@ def test_live_all_meshes_follow_and_are_restored_at_the_end():
     for name, obj in objects.items():
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-6)
         assert obj.data.shape_keys is None
-
-
-def test_the_bone_of_a_flat_eye_turns_by_a_share_that_keeps_the_iris_between_the_lids():
-    objects = make_character(rig=True)
-    head, _ = bind_character(objects["head"])
-    armature = head.parent
-    places = read_vertices(head.data)[read_landmarks(head)]
-    unit = outer_eye_distance(places)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    for name, corners, behind in (("Eye.L", EYE_CORNERS[2:], 0.13), ("Eye.R", EYE_CORNERS[:2], 0.5)):
-        bone = armature.data.edit_bones.new(name)
-        to_armature = armature.matrix_world.inverted() @ rest_matrix(head)
-        bone.head = to_armature @ Vector(to_blender(places[corners].mean(axis=0) + [0.0, 0.0, behind * unit]))
-        bone.tail = bone.head + Vector((0.0, -0.02, 0.0))
-    bpy.ops.object.mode_set(mode="OBJECT")
-    write_bones(head, armature, FaceBones("Head", "Eye.R", "Eye.L"))
-    targets = own_targets(head)
-    assert targets["eye_left"].strength == 1.0 and 0.3 < targets["eye_right"].strength < 0.5
-    looking = euler_to_matrix(0.0, 0.3, 0.0)
-    for eye in ("eye_left", "eye_right"):
-        targets[eye].apply(looking, None)
-        turned = armature.pose.bones[targets[eye].bone].matrix_basis.to_quaternion().angle
-        assert abs(turned - 0.3 * targets[eye].strength) < 1e-4
-    assert targets["eye_right"].turned(np.stack([looking] * 3)).shape == (3, 3, 3)
 
 
 @pytest.mark.thorough

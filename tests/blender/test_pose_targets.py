@@ -3,10 +3,19 @@
 import bpy
 import numpy as np
 import pytest
+from characters import make_character
+from mathutils import Vector
 
-from facemime.blender.animation.targets import PoseTarget
+from facemime.blender.animation.targets import PoseTarget, own_targets
+from facemime.blender.characters import rest_matrix, write_bones
+from facemime.blender.frames import to_blender
+from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.built_in import add_head
+from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
+from facemime.core.heads.bones import FaceBones
+from facemime.core.landmarks import EYE_CORNERS, outer_eye_distance
+from facemime.core.rotation import euler_to_matrix
 from facemime.operators.puppet import running
 from live_ticks import outcome_of_ticks, ticks_until
 
@@ -90,3 +99,28 @@ def test_a_mirrored_head_moves_like_its_mirror_image(scale):
     bpy.context.view_layer.update()
     moved = np.array(head.matrix_world)[:3, 3] - before[:3, 3]
     np.testing.assert_allclose(moved, before[:3, :3] @ (0.1, 0.3, -0.2), atol=1e-5)
+
+
+def test_the_bone_of_a_flat_eye_turns_by_a_share_that_keeps_the_iris_between_the_lids():
+    objects = make_character(rig=True)
+    head, _ = bind_character(objects["head"])
+    armature = head.parent
+    places = read_vertices(head.data)[read_landmarks(head)]
+    unit = outer_eye_distance(places)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    for name, corners, behind in (("Eye.L", EYE_CORNERS[2:], 0.13), ("Eye.R", EYE_CORNERS[:2], 0.5)):
+        bone = armature.data.edit_bones.new(name)
+        to_armature = armature.matrix_world.inverted() @ rest_matrix(head)
+        bone.head = to_armature @ Vector(to_blender(places[corners].mean(axis=0) + [0.0, 0.0, behind * unit]))
+        bone.tail = bone.head + Vector((0.0, -0.02, 0.0))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    write_bones(head, armature, FaceBones("Head", "Eye.R", "Eye.L"))
+    targets = own_targets(head)
+    assert targets["eye_left"].strength == 1.0 and 0.3 < targets["eye_right"].strength < 0.5
+    looking = euler_to_matrix(0.0, 0.3, 0.0)
+    for eye in ("eye_left", "eye_right"):
+        targets[eye].apply(looking, None)
+        turned = armature.pose.bones[targets[eye].bone].matrix_basis.to_quaternion().angle
+        assert abs(turned - 0.3 * targets[eye].strength) < 1e-4
+    assert targets["eye_right"].turned(np.stack([looking] * 3)).shape == (3, 3, 3)
