@@ -79,7 +79,6 @@ class BlockProduct:
         count = len(rest)
         build_rows = RowBuilder(regions, count, n_columns)
         self._place: NDArray[np.intp] | None = None
-        self._sorted = rest.reshape(-1, 1, 3)
         if count <= _EXACT_VERTICES:
             order = np.arange(count)
             pieces, factors = [order], [(build_rows(order), np.eye(n_columns, dtype=np.float32))]
@@ -91,7 +90,7 @@ class BlockProduct:
             order = np.concatenate([*pieces, np.flatnonzero(still)])
             self._place = np.empty_like(order)
             self._place[order] = np.arange(count)
-            self._sorted = np.ascontiguousarray(rest[order]).reshape(-1, 1, 3)
+            self._sorted = rest[order].reshape(-1, 1, 3)
             factors = [_factors(build_rows(piece)) for piece in pieces]
         # 2. A network that multiplies by the modes, and by the block of each piece. Each has three more modes, which
         # add the rest positions within the same product.
