@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import cv2
 import numpy as np
 
-from facemime.core.landmarks import IBUG68_INDICES, N_LANDMARKS
+from facemime.core.landmarks import IBUG68_INDICES
 
 VERTICES_68 = (
     # jaw line along the oval of the face, from the viewer's left ear to the right one
@@ -25,17 +27,23 @@ VERTICES_68 = (
 
 
 class MediaPipe:
-    """MediaPipe's face mesh as a `Peer`."""
+    """MediaPipe's face mesh as a `Peer`.
+
+    Parameters
+    ----------
+    vertices : sequence of int, optional
+        Vertices of the face mesh that are returned; by default those of the 66 landmarks.
+    """
 
     name = "MediaPipe"
 
-    def __init__(self) -> None:
+    def __init__(self, vertices: Sequence[int] | None = None) -> None:
         import mediapipe
 
         mesh = mediapipe.solutions.face_mesh.FaceMesh
         self._make = lambda still: mesh(static_image_mode=still, refine_landmarks=True, max_num_faces=1)
         self._still, self._moving = self._make(True), self._make(False)
-        self._vertices = np.array(VERTICES_68)[IBUG68_INDICES]
+        self._vertices = np.array(VERTICES_68)[IBUG68_INDICES] if vertices is None else np.array(vertices)
 
     def locate(self, image: np.ndarray) -> np.ndarray:
         """See `Peer.locate`."""
@@ -54,7 +62,7 @@ class MediaPipe:
         rgb = cv2.cvtColor(image, cv2.COLOR_BGR2RGB if image.ndim == 3 else cv2.COLOR_GRAY2RGB)
         faces = mesh.process(rgb).multi_face_landmarks
         if not faces:
-            return np.full((N_LANDMARKS, 2), np.nan)
+            return np.full((len(self._vertices), 2), np.nan)
         height, width = image.shape[:2]
         points = np.array([(p.x * width, p.y * height) for p in faces[0].landmark])
         return points[self._vertices] - 0.5
