@@ -190,10 +190,11 @@ build/sphinx/.ready: requirements/docs.txt pyproject.toml setup.py
 	build/sphinx/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-# These rebuild the files in assets/; the first needs ../shared/data.
+# These rebuild the files in assets/; the first needs ../shared/data. EFFORT=0.01 tries all its steps within minutes.
+EFFORT ?= 1
 model: setup
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/training.txt
-	$(BIN)/python -m training.tracker
+	$(BIN)/python -m training.tracker --effort $(EFFORT)
 
 expressions: setup
 	$(BIN)/python -m training.expressions

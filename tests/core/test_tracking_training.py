@@ -8,10 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from facemime.core.actions import ACTIONS
 from facemime.core.landmarks import LIPS, LOWER_LIPS, UPPER_LIPS
 from facemime.core.mesh.raster import rasterise
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.tracking.tracker import FaceTracker
+from facemime.training.tracker.acting import ActionSamples
+from facemime.training.tracker.crops import ActionPart, draw_actions
 from facemime.training.tracker.organs import random_eyes, tongue_out
 from facemime.training.tracker.patches import mirror_samples
 from facemime.training.tracker.samples import SIZE, Samples, degrade
@@ -61,6 +64,24 @@ def test_mirroring_samples_twice_restores_them() -> None:
     np.testing.assert_allclose(again.landmarks, samples.landmarks, atol=1e-4)
     np.testing.assert_allclose(again.poses, samples.poses, atol=1e-4)
     np.testing.assert_array_equal(again.visible, samples.visible)
+
+
+def test_an_action_is_learnt_on_the_side_where_it_is_seen_in_mirrored_images_too() -> None:
+    """The pressed corner of this mouth is the performer's right one, and bright."""
+    pdm = FaceTracker.load().pdm
+    pose = np.array([80.0, 0.0, 0.0, 0.0, SIZE / 2, SIZE / 2])
+    landmarks, image = pdm.project(pose, np.zeros(pdm.n_modes)), np.full((1, SIZE, SIZE), 60, np.uint8)
+    image[0, :, : int(landmarks[LIPS, 0].mean())] = 200
+    right, left = (ACTIONS.index(f"mouthPress{side}") for side in ("Right", "Left"))
+    shown = np.zeros(len(ACTIONS))
+    shown[right] = 1.0
+    stacked = [np.float32(values)[None] for values in (landmarks, pose, shown)]
+    samples = ActionSamples(image, *stacked, np.full((1, 2, 2), np.nan, np.float32), np.zeros(1, np.int32))
+    part = ActionPart(np.array([right, left]), np.array([48, 54, 57]), 44.0, (64, 56), False)
+    drawn = draw_actions(samples, part, 64, np.random.default_rng(3))
+    brighter = [picture[:, :16].mean() > picture[:, -16:].mean() for picture in drawn.pictures[:, 0]]
+    assert (drawn.actions.sum(axis=1) == 1.0).all() and 0 < drawn.actions[:, 0].sum() < 64
+    assert np.mean(brighter == (drawn.actions[:, 0] == 1.0)) > 0.95  # a few are covered by something in front
 
 
 def test_the_rasteriser_fills_a_triangle_and_lets_the_nearer_one_win() -> None:

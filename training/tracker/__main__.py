@@ -1,4 +1,8 @@
-"""Makes the tracker's model: `python -m training.tracker`. Results that `build/model` contains are kept."""
+"""Makes the tracker's model: `python -m training.tracker`. Results that `build/model` contains are kept.
+
+`--effort 0.01` goes through all steps within minutes, with a hundredth of the images and of the networks' training; its
+model is written to the folder of its results, and is of no use but to try the data.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +33,18 @@ def _run_all(jobs: list[Job], processes: int) -> None:
 
 def main() -> None:
     """Run every step that is not done yet, then write the model."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m training.tracker", description=__doc__.splitlines()[0])
     add_data_option(parser)
-    parser.add_argument("--work", type=Path, default=ROOT / "build" / "model")
-    parser.add_argument("--output", type=Path, default=DEFAULT_MODEL)
-    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--effort", type=_share, default=1.0, help="share of images and training, to try the steps (1)")
+    parser.add_argument("--work", type=Path, help="folder of the results (build/model)")
+    parser.add_argument("--output", type=Path, help="the model (the one that ships, or the folder of the results)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of processes (one per core)")
     options = parser.parse_args()
-    workshop = Workshop(options.data, options.work)
-    where = (options.data, options.work)
+    whole = options.effort == 1.0
+    work = options.work or ROOT / "build" / ("model" if whole else f"model-{options.effort:g}")
+    output = options.output or (DEFAULT_MODEL if whole else work / "face.tracker")
+    where = (options.data, work, options.effort)
+    workshop = Workshop(*where)
     workshop.shape()
     jobs = []
     for held_out in (True, False):
@@ -53,9 +61,16 @@ def main() -> None:
     jobs = [Job(*where, "detector")] + [Job(*where, "network", (name,)) for name in (*FACES, *PARTS)]
     _run_all(jobs + [Job(*where, "actions", (name,)) for name in ACTION_PARTS], options.jobs)
     _run_all([Job(*where, "patches", (view,)) for view in ("frontal", "side")], options.jobs)
-    options.output.parent.mkdir(parents=True, exist_ok=True)
-    name = save_model(workshop.assemble(workshop.check()), options.output)
-    print(f"{options.output}: model {name}, {options.output.stat().st_size / 1e6:.1f} MB")
+    output.parent.mkdir(parents=True, exist_ok=True)
+    name = save_model(workshop.assemble(workshop.check()), output)
+    print(f"{output}: model {name}, {output.stat().st_size / 1e6:.1f} MB")
+
+
+def _share(text: str) -> float:
+    share = float(text)
+    if not 0.0 < share <= 1.0:
+        raise argparse.ArgumentTypeError("it is above 0 and at most 1")
+    return share
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ import numpy as np
 from facemime.core.actions import ACTION_MIRROR
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, crop_face, crop_part, first_cell
+from facemime.core.tracking.reference import to_face_frame
 
 from .acting import ActionSamples
 from .samples import SCALE, Samples
@@ -69,8 +70,7 @@ def draw_actions(samples: ActionSamples, part: ActionPart, count: int, rng: np.r
         image, pose, shown = samples.images[i], samples.poses[i].astype(np.float64), samples.actions[i]
         points = samples.landmarks[i].astype(np.float64)
         if rng.random() < 0.5:
-            points, shown = mirrored(points, image.shape[1]), shown[ACTION_MIRROR]
-            image = np.ascontiguousarray(image[:, ::-1])
+            (image, points), shown = mirrored(image, points), shown[ACTION_MIRROR]
         pose[0] *= np.exp(rng.normal(0, 0.03))
         pose[3] += rng.normal(0, 0.03)
         pose[4:6] = points[part.landmarks].mean(axis=0) + rng.normal(0, 0.02, 2) * SCALE
@@ -155,15 +155,13 @@ class Crops:
             weights[row] = weight * inside
         return Batch(pictures, places, weights, face)
 
-    def _sample(self, i: int, landmarks: np.ndarray, mirrored: bool) -> _Sample:
+    def _sample(self, i: int, landmarks: np.ndarray, flip: bool) -> _Sample:
         s = self._samples
         image, points, pose = s.images[i], s.landmarks[i].astype(np.float64), s.poses[i].astype(np.float64)
         visible = s.visible[i]
-        if mirrored:
-            last = image.shape[1] - 1
-            image, points, visible = np.ascontiguousarray(image[:, ::-1]), points[MIRROR].copy(), visible[MIRROR]
-            points[:, 0] = last - points[:, 0]
-            pose[4] = last - pose[4]
+        if flip:
+            (image, points), visible = mirrored(image, points), visible[MIRROR]
+            pose[4] = image.shape[1] - 1 - pose[4]
         weights = np.where(visible, 1.0, _HIDDEN) * self._trust[i]
         return _Sample(image, points[landmarks], weights[landmarks].astype(np.float32), pose)
 
@@ -178,8 +176,7 @@ class _Sample:
 
 def _in_crop(landmarks: np.ndarray, pose: np.ndarray, scale: float, size: tuple[int, int], stride: int) -> np.ndarray:
     """Landmarks (n, 2) of the image in cells of a crop's maps."""
-    c, s = np.cos(pose[3]), np.sin(pose[3])
-    away = (landmarks - pose[4:6]) @ np.array([[c, -s], [s, c]]) * (scale / pose[0])
+    away = to_face_frame(landmarks, pose) * scale
     cells: np.ndarray = (away - [first_cell(side, stride) for side in size]) / stride
     return cells
 

@@ -21,6 +21,8 @@ _AVERAGE = 0.005
 _RARE = 2.0
 """Weight of an action that is shown, relative to one that is not."""
 _REPORT, _CHECKPOINT = 100, 250
+_HALF_PRECISION = any(torch.cpu.get_capabilities().get(unit, False) for unit in ("avx512_bf16", "amx_bf16"))
+"""Whether the processor computes with 16 bits. Where it does not, this takes twelve times as long as with 32."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,7 @@ def _train(
 ) -> nn.Module:
     """Train the network through all steps, each with the loss of another batch, which also gives a figure to report."""
     steps, checkpoint, name = course.steps, course.checkpoint, course.name
+    torch.set_num_threads(1)  # one process a core; more threads would wait for each other
     network.to(memory_format=torch.channels_last)
     decayed = [p for p in network.parameters() if p.ndim > 1]
     free = [p for p in network.parameters() if p.ndim <= 1]
@@ -98,7 +101,7 @@ def _train(
 def _map_loss(network: FaceNetwork | PartNetwork, batch: Batch, variance: float) -> tuple[Tensor, float]:
     """Loss, and mean distance in cells."""
     pictures = torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
+    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=_HALF_PRECISION):
         out = network(pictures)
     maps, face = out if isinstance(out, tuple) else (out, None)
     loss, away = MapLoss.apply(maps, torch.from_numpy(batch.cells), torch.from_numpy(batch.weights), variance)

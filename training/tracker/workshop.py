@@ -94,10 +94,21 @@ _RENDERS_PER_SKIN = 24
 
 
 class Workshop:
-    """The steps from data to model, each of whose results is kept in a folder."""
+    """The steps from data to model, each of whose results is kept in a folder.
 
-    def __init__(self, data: Path, work: Path) -> None:
-        self.data, self.work = data, work
+    Parameters
+    ----------
+    data, work : Path
+        Folders of the photos and heads, and of the results.
+    effort : float
+        Share of the training images and of the networks' training steps; 1 makes the model that ships.
+    """
+
+    def __init__(self, data: Path, work: Path, effort: float = 1.0) -> None:
+        self.data, self.work, self.effort = data, work, effort
+
+    def _share(self, count: int) -> int:
+        return max(1, round(count * self.effort))
 
     def shape(self) -> PointDistributionModel:
         """The point distribution model."""
@@ -134,7 +145,7 @@ class Workshop:
         parts = []
         for photo in photos:
             recipe = RECIPES[photo.source]
-            plain, speaking = (6, 0) if held_out else (recipe.renders, recipe.speaking)
+            plain, speaking = (6, 0) if held_out else (self._share(recipe.renders), self._share(recipe.speaking))
             for first in range(0, plain, _RENDERS_PER_SKIN):
                 count = min(_RENDERS_PER_SKIN, plain - first)
                 parts.append(render_samples(head, model, photo, backgrounds, count, rng, recipe.weight))
@@ -143,7 +154,7 @@ class Workshop:
                     render_samples(head, model, photo, backgrounds, speaking, rng, recipe.weight, speaking=True)
                 )
             if not held_out:
-                parts.append(photo_samples(model, photo, recipe.copies, rng, recipe.weight))
+                parts.append(photo_samples(model, photo, self._share(recipe.copies), rng, recipe.weight))
         Samples.join(parts).save(path)
         return path
 
@@ -157,10 +168,10 @@ class Workshop:
         rng = np.random.default_rng((SEED, 31, number, held_out))
         parts = []
         for i, photo in enumerate(photos):
-            count = _HELD_OUT_ACTING if held_out else ACTING[photo.source]
+            count = self._share(_HELD_OUT_ACTING if held_out else ACTING[photo.source])
             for first in range(0, count, _RENDERS_PER_SKIN if not held_out else count):
                 size = count if held_out else min(_RENDERS_PER_SKIN, count - first)
-                resting = _RESTING if held_out else 1
+                resting = min(_RESTING, size) if held_out else 1
                 parts.append(action_samples(head, model, photo, 1000 * number + i, backgrounds, size, rng, resting))
         ActionSamples.join(parts).save(path)
         return path
@@ -179,7 +190,7 @@ class Workshop:
 
             rng = np.random.default_rng((SEED, len(name)))
             crops = Crops(self.samples(), rng)
-            how = VARIANCE[name], Course(STEPS[name], self.work / f"{name}.pt", name)
+            how = VARIANCE[name], Course(self._share(STEPS[name]), self.work / f"{name}.pt", name)
             if name in FACES:
                 pictures = np.stack(clutter(self.photos(), N_CLUTTER, rng))
                 draw = partial(crops.face, BATCH[name], pictures, *FACES[name])
@@ -203,7 +214,7 @@ class Workshop:
             samples, part = ActionSamples.load_all(self.work / "actions"), ACTION_PARTS[name]
             rng = np.random.default_rng((SEED, 32, len(name)))
             draw = partial(draw_actions, samples, part, ACTION_BATCH, rng)
-            course = Course(ACTION_STEPS, path.with_suffix(".pt"), path.stem)
+            course = Course(self._share(ACTION_STEPS), path.with_suffix(".pt"), path.stem)
             network = train_actions(ActionNetwork(len(part.actions), *part.size), draw, course)
             path.write_bytes(to_onnx(network, *part.size))
         return path.read_bytes()
@@ -214,7 +225,7 @@ class Workshop:
         if not path.exists():
             head, model = load_ict(self.data), self.shape()
             rng = np.random.default_rng((SEED, 41, number))
-            counts = [SCENE_HEADS_BY_HAND if photo.by_hand else SCENE_HEADS for photo in photos]
+            counts = [self._share(SCENE_HEADS_BY_HAND if photo.by_hand else SCENE_HEADS) for photo in photos]
             Heads.join([heads_of(head, model, p, n, rng) for p, n in zip(photos, counts, strict=True)]).save(path)
         return path
 
@@ -228,7 +239,7 @@ class Workshop:
             rng = np.random.default_rng((SEED, 41))
             heads = Heads.load_all(self.work / "detection")
             scenes = Scenes(heads, surfaces(self.photos(), rng), rng)
-            course = Course(DETECTOR_STEPS, path.with_suffix(".pt"), path.stem)
+            course = Course(self._share(DETECTOR_STEPS), path.with_suffix(".pt"), path.stem)
             network = train_detector(DetectorNetwork(len(OUTPUTS)), lambda: scenes.draw(DETECTOR_BATCH), course)
             path.write_bytes(to_onnx(network, SCENE, SCENE))
         return path.read_bytes()
@@ -331,10 +342,11 @@ def _keep(path: Path, **arrays: np.ndarray) -> None:
 
 @dataclass(frozen=True)
 class Job:
-    """A step to run: the folders of the workshop, the name of the method, and its arguments."""
+    """A step to run: the parameters of the workshop, the name of the method, and its arguments."""
 
     data: Path
     work: Path
+    effort: float
     step: str
     arguments: tuple = ()
 
@@ -342,5 +354,5 @@ class Job:
 def run_job(job: Job) -> str:
     """Run a step in this process, and report which it was."""
     cv2.setNumThreads(1)
-    getattr(Workshop(job.data, job.work), job.step)(*job.arguments)
+    getattr(Workshop(job.data, job.work, job.effort), job.step)(*job.arguments)
     return " ".join([job.step, *(str(a) for a in job.arguments if isinstance(a, int | float | str))])
