@@ -190,7 +190,7 @@ build/sphinx/.ready: requirements/docs.txt pyproject.toml setup.py
 	build/sphinx/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
-# These rebuild the files in assets/; the first needs ../shared/data. EFFORT=0.01 tries all its steps within minutes.
+# These rebuild the files in assets/; the first needs ../shared/data. EFFORT=0.01 tries all its steps within half an hour.
 EFFORT ?= 1
 model: setup
 	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/training.txt

@@ -95,19 +95,22 @@ def regularised_mean_shift(
         return np.tile(np.bincount(of, weights, len(flat) // 2), 2)
 
     weights = trusted = np.concatenate([e.weights for e in evidence])
-    scale = options.outlier_scale * np.concatenate([np.broadcast_to(e.tolerance, len(e.weights)) for e in evidence])
     normal = normal_matrix(flat, of_rows(weights), prior)
     # Equation 3.1 at the start: the derivative with respect to the scale, times the scale, is the untranslated
     # landmarks.
     landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
     moved = np.zeros(len(prior))
+    robust = options.outlier_scale < inf
+    if robust:
+        squared_scale = np.concatenate([np.full(len(e.weights), e.tolerance) for e in evidence])
+        squared_scale = np.square(options.outlier_scale * squared_scale)
     for i, variance in enumerate(options.variances):
         places = landmarks[of]
         shifts = _shifts(evidence, places, variance)
         # Equation 3.5, from the second iteration on: once the shape is near, maps that disagree with it are outliers.
-        if i and options.outlier_scale < inf:
-            away = shifts if variance == inf else _shifts(evidence, places, inf)
-            weights = trusted / (1.0 + np.square(away / scale[:, None]).sum(axis=1))
+        if i and robust:
+            x, y = (shifts if variance == inf else _shifts(evidence, places, inf)).T
+            weights = trusted / (1.0 + (x * x + y * y) / squared_scale)
             normal = normal_matrix(flat, of_rows(weights), prior)
         # J^T W v, summed over the maps of each landmark, and the right-hand side of equation 3.4.
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]

@@ -172,17 +172,14 @@ def _crops(pixels: NDArray[_Number], corner: IntArray, side: int) -> NDArray[_Nu
 
 def _deviations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Standard deviation of each patch of an image, with the floor added, at the patch's first pixel."""
-    sums, squares = cv2.integral2(pixels)
-    mean, square = (_box_sums(np.asarray(table, np.float64)) * (1.0 / PATCH**2) for table in (sums, squares))
-    variance = np.maximum(square - mean * mean, 0.0) + CONTRAST_FLOOR**2
-    return np.asarray(np.sqrt(variance), dtype=np.float32)
-
-
-def _box_sums(table: FloatArray) -> FloatArray:
-    """Sum over each patch of an image, from its integral image."""
-    below, above = table[PATCH:], table[:-PATCH]
-    out: FloatArray = below[:, PATCH:] - below[:, :-PATCH] - above[:, PATCH:] + above[:, :-PATCH]
-    return out
+    inside = slice(HALF, -HALF)
+    mean, square = (
+        np.asarray(box(pixels, cv2.CV_32F, (PATCH, PATCH)), np.float32)[inside, inside]
+        for box in (cv2.boxFilter, cv2.sqrBoxFilter)
+    )
+    variance = np.maximum(square - mean * mean, 0.0)
+    variance += np.float32(CONTRAST_FLOOR**2)
+    return np.sqrt(variance, out=variance)
 
 
 def _patches(crops: NDArray[np.float32], side: int, deviation: NDArray[np.float32]) -> NDArray[np.float32]:

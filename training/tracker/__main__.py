@@ -1,6 +1,6 @@
 """Makes the tracker's model: `python -m training.tracker`. Results that `build/model` contains are kept.
 
-`--effort 0.01` goes through all steps within minutes, with a hundredth of the images and of the networks' training; its
+`--effort 0.01` goes through all steps within half an hour, with a hundredth of the images and of the training. Its
 model is written to the folder of its results, and is of no use but to try the data.
 """
 

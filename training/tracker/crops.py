@@ -11,7 +11,6 @@ import numpy as np
 from facemime.core.actions import ACTION_MIRROR
 from facemime.core.landmarks import MIRROR
 from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, crop_face, crop_part, first_cell
-from facemime.core.tracking.reference import to_face_frame
 
 from .acting import ActionSamples
 from .samples import SCALE, Samples
@@ -176,7 +175,8 @@ class _Sample:
 
 def _in_crop(landmarks: np.ndarray, pose: np.ndarray, scale: float, size: tuple[int, int], stride: int) -> np.ndarray:
     """Landmarks (n, 2) of the image in cells of a crop's maps."""
-    away = to_face_frame(landmarks, pose) * scale
+    c, s = np.cos(pose[3]), np.sin(pose[3])
+    away = (landmarks - pose[4:6]) @ np.array([[c, -s], [s, c]]) * (scale / pose[0])
     cells: np.ndarray = (away - [first_cell(side, stride) for side in size]) / stride
     return cells
 
