@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import hashlib
 import json
 import sys
 from pathlib import Path
@@ -16,6 +17,8 @@ from .data import ICT_FILE, add_data_option
 from .obj import ObjMesh, parse_obj
 
 _NEUTRAL, _INDICES, _IDENTITY = "generic_neutral_mesh.obj", "vertex_indices.json", "identity"
+USED = "578946bd1ffd"
+"""Checksum of the version with which the models were trained: that of commit 1922d842."""
 
 
 def convert(folder: Path) -> dict[str, np.ndarray]:
@@ -59,6 +62,25 @@ def convert(folder: Path) -> dict[str, np.ndarray]:
     return arrays
 
 
+def checksum(arrays: dict[str, np.ndarray]) -> str:
+    """Return the first digits of a checksum of the mesh at rest and its landmarks.
+
+    Parameters
+    ----------
+    arrays : dict
+        As returned by `convert`, or read from `ICT_FILE`.
+
+    Returns
+    -------
+    str
+        Twelve hexadecimal digits.
+    """
+    of = hashlib.sha256()
+    for name, kind in (("neutral", "<f4"), ("faces", "<i4"), ("landmarks68", "<i8")):
+        of.update(np.ascontiguousarray(arrays[name].astype(kind)).tobytes())
+    return of.hexdigest()[:12]
+
+
 def _delta(path: Path, neutral: ObjMesh) -> np.ndarray:
     vertices = parse_obj(path.read_text()).vertices
     if vertices.shape != neutral.vertices.shape:
@@ -81,8 +103,10 @@ def main() -> int:
     np.savez_compressed(output, **arrays)
     print(
         f"{output}: {len(arrays['neutral'])} vertices, {len(arrays['identity_delta'])} identities, "
-        f"{len(arrays['expression_delta'])} expressions"
+        f"{len(arrays['expression_delta'])} expressions, checksum {checksum(arrays)}"
     )
+    if checksum(arrays) != USED:
+        print(f"This is another version of ICT-FaceKit than the models were trained with, whose checksum is {USED}.")
     return 0
 
 

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from facemime.training.ict import convert
+from facemime.training.data import DATA, ICT_FILE, has_heads
+from facemime.training.ict import USED, checksum, convert
 
 POINTS = np.array([[0.0, -2.48251, 11.8387], [0.0, 1.0, 11.5], [1.0, 1.0, 11.4], [1.0, -2.0, 11.2], [2.0, 0.0, 9.0]])
 FACES = ["usemtl M_Face", "f 1/1 2/2 3/3 4/4", "usemtl M_BackHead", "f 4/4 3/3 5/5"]
@@ -48,3 +49,14 @@ def test_a_mesh_with_other_vertices_is_refused_by_name(published):
     write(published / "jawOpen.obj", POINTS[:4], FACES[:2])
     with pytest.raises(ValueError, match=r"jawOpen\.obj has 4 vertices, and the neutral mesh has 5"):
         convert(published)
+
+
+def test_the_checksum_tells_another_order_of_vertices_apart(published):
+    arrays = convert(published)
+    other = arrays | {"neutral": arrays["neutral"][::-1]}
+    assert checksum(arrays) == checksum(convert(published)) != checksum(other)
+
+
+@pytest.mark.skipif(not has_heads(DATA), reason="../shared/data/heads is missing")
+def test_the_models_were_trained_with_the_version_that_is_named():
+    assert checksum(dict(np.load(DATA / ICT_FILE))) == USED
