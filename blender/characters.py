@@ -8,6 +8,7 @@ properties of the head.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import bpy
 import cv2
@@ -59,7 +60,12 @@ class Member:
 
     def head_offsets(self, offsets: NDArray[np.floating]) -> NDArray[np.float32]:
         """Convert (..., n, 3) displacements of its mesh to the head frame."""
-        return np.asarray(offsets @ linalg.inv(self.to_mesh[:, :3]).T, dtype=np.float32)
+        return np.asarray(offsets @ self._to_head, dtype=np.float32)
+
+    @cached_property
+    def _to_head(self) -> NDArray[np.float64]:
+        """Matrix that multiplies displacements of the mesh from the right, (3, 3)."""
+        return np.asarray(linalg.inv(self.to_mesh[:, :3]).T)
 
 
 def members_of(head: bpy.types.Object) -> list[Member]:

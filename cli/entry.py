@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 def start(arguments: Sequence[str] | None = None) -> NoReturn:
     """Run the command line `arguments`, by default that of this process, and end the process with its exit status."""
     STOPPING.install()
+    # Before numpy loads: on a busy machine, the threads of its BLAS wait for each other, even for small products.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_standard_streams()
     with STOPPING.starting():
         from .terminal.leash import follow_stdin

@@ -102,6 +102,7 @@ class FrameCoefficients:
         posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
         self._observer = Observer(neutral, replace(options, posing=posing))
         self._measured = neutral.measured
+        self._near = np.zeros((1, len(FITTED)))
 
     def of(self, result: TrackResult) -> FloatArray:
         """Return the coefficients, (52,), 0 to 1, of a frame with a face. Frames have to be passed in order."""
@@ -114,7 +115,7 @@ class FrameCoefficients:
             return np.asarray(_with_looks(_fitted(self._observer.displacements(result)[None]), gaze)[0])
         observed = self._observer.face(result)[None]
         actions = bool(has_actions(observed)[0])
-        found = _with_looks(_solver(actions).frames(observed), gaze)
+        found = _with_looks(_solver(actions).frames(observed, self._near), gaze)
         return np.asarray(_with_measured(found, self._observer.shown(result)[None])[0])
 
 

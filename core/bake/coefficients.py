@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,7 @@ from ..actions import ACTION_MIRROR
 from ..arrays import FloatArray
 from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED
 from ..landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS
+from ..products import dot
 from .coefficient_model import N_OBSERVED, CoefficientModel, Layer
 from .least_squares import bounded_least_squares, bounded_minimum
 
@@ -38,6 +40,14 @@ _LIP_GAP = _LIP_GAP.ravel()
 """Mean vertical gap of the inner lips as a function of observed displacements."""
 
 
+@dataclass(frozen=True)
+class _Fitting:
+    """What fits with the same precision share: products with values (D, 44), and with each other (44, 44)."""
+
+    readout: FloatArray
+    gram: FloatArray
+
+
 class CoefficientSolver:
     """Finds the 44 coefficients `FITTED` from observations.
 
@@ -56,25 +66,26 @@ class CoefficientSolver:
         self._responses = model.responses[:, known]
         frame, neutral = (spread.matrix()[np.ix_(known, known)] for spread in (model.frame, model.neutral))
         self._within, self._between = linalg.inv(frame), linalg.inv(neutral)
-        self._single = self._responses @ linalg.inv(frame + neutral)
-        self._calibrated = self._responses @ linalg.inv(frame + _LEFT * neutral)
+        self._single = self._fitting(linalg.inv(frame + neutral))
+        self._calibrated = self._fitting(linalg.inv(frame + _LEFT * neutral))
+        self._at_first = self._fitting(self._within)
         self._correction = model.correction
         self._at_rest = self._lacking(np.zeros((1, N_OBSERVED + len(FITTED)))) if model.correction else 0.0
 
-    def frames(self, observed: FloatArray) -> FloatArray:
+    def frames(self, observed: FloatArray, near: FloatArray | None = None) -> FloatArray:
         """Find the coefficients of single frames, as in a live performance.
 
         Parameters
         ----------
-        observed : (N, 213) float64
-            Observations from `Observer.face`.
+        observed, near
+            As for `fitted_frames`.
 
         Returns
         -------
         (N, 44) float64
             Coefficients, 0 to 1.
         """
-        return self.corrected(self.fitted_frames(observed))
+        return self.corrected(self.fitted_frames(observed, near))
 
     def take(self, observed: FloatArray) -> FloatArray:
         """Find the coefficients of a take, corrected for the error of its neutral face.
@@ -91,13 +102,16 @@ class CoefficientSolver:
         """
         return self.corrected(self.fitted_take(observed))
 
-    def fitted_frames(self, observed: FloatArray) -> FloatArray:
+    def fitted_frames(self, observed: FloatArray, near: FloatArray | None = None) -> FloatArray:
         """Fit the coefficients of single frames (equations 9.3 and 9.4).
 
         Parameters
         ----------
         observed : (N, 213) float64
             Observations.
+        near : (N, 44) float64, optional
+            Start of the first fit, which is replaced by its result. Those of the previous frame save most of the time;
+            the coefficients do not depend on them.
 
         Returns
         -------
@@ -105,7 +119,7 @@ class CoefficientSolver:
             The known part of the observations, and the fitted coefficients, 0 to 1.
         """
         values = observed[:, self._known]
-        return self._finished(self._fit(values, self._single, 2), values)
+        return self._finished(self._fit(values, self._single, 2, near), values)
 
     def fitted_take(self, observed: FloatArray) -> FloatArray:
         """Fit the coefficients of a take; see `fitted_frames`. The error of the neutral face is subtracted.
@@ -119,7 +133,7 @@ class CoefficientSolver:
         weighed = min(_INDEPENDENT, len(values)) * self._within
         correct, error = linalg.solve(weighed + self._between, weighed), np.zeros(values.shape[1])
         for _ in range(_ROUNDS):
-            found = self._fit(some - error, self._responses @ self._within, 1)
+            found = self._fit(some - error, self._at_first, 1)
             # Calm frames say most about the neutral face.
             trust = 1.0 / (_CALM + found.sum(axis=1))
             error = correct @ (trust @ (some - found @ self._responses) / trust.sum())
@@ -153,13 +167,20 @@ class CoefficientSolver:
         flipped = np.concatenate([mirrored(observed), found[:, _ACROSS]], axis=1)
         return 0.5 * (_output(self._correction, fitted) + _output(self._correction, flipped)[:, _ACROSS])
 
-    def _fit(self, values: FloatArray, readout: FloatArray, rounds: int) -> FloatArray:
+    def _fitting(self, precision: FloatArray) -> _Fitting:
+        """Prepare fits with a precision matrix (D, D) of the known values."""
+        readout = self._responses @ precision
+        gram = readout @ self._responses.T
+        return _Fitting(np.ascontiguousarray(readout.T), 0.5 * (gram + gram.T))
+
+    def _fit(self, values: FloatArray, by: _Fitting, rounds: int, near: FloatArray | None = None) -> FloatArray:
         """Fit coefficients, (N, 44), to known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
-        gram, products = readout @ self._responses.T, values @ readout.T
-        gram = 0.5 * (gram + gram.T)
+        gram, products = by.gram, dot(values, by.readout)
         count = len(gram)
         lower, upper = np.zeros(count), np.ones(count)
-        found = bounded_least_squares(gram + self._model.together, products - _SPARSITY, lower, upper)
+        found = bounded_least_squares(gram + self._model.together, products - _SPARSITY, lower, upper, near)
+        if near is not None:
+            near[:] = found
         gram = gram + _TOGETHER * self._model.together
         for _ in range(rounds):
             for a, product in zip(found, products, strict=True):
@@ -188,8 +209,8 @@ def mirrored(observed: FloatArray) -> FloatArray:
 def _output(layers: Sequence[Layer], x: FloatArray) -> FloatArray:
     """Output of a network for inputs (N, I)."""
     for layer in layers[:-1]:
-        x = np.maximum(x @ layer.weights + layer.offsets, 0.0)
-    return np.asarray(x @ layers[-1].weights + layers[-1].offsets)
+        x = np.maximum(dot(x, layer.weights) + layer.offsets, 0.0)
+    return np.asarray(dot(x, layers[-1].weights) + layers[-1].offsets)
 
 
 def _weaker(found: FloatArray) -> NDArray[np.intp]:

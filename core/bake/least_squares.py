@@ -12,9 +12,17 @@ _TOLERANCE = 1e-10
 """Gradient at a bound, relative to the largest number of the system, below which a variable stays there."""
 _STEPS = 200
 """Number of projected gradient steps, after which most active bounds are known."""
+_FEW = 4
+"""Number of rows up to which these steps take longer than finding the active bounds one by one."""
 
 
-def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+def bounded_least_squares(
+    gram: FloatArray,
+    products: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    start: FloatArray | None = None,
+) -> FloatArray:
     """Minimise ``|A x - y|^2`` subject to ``lower <= x <= upper``, for many y.
 
     Parameters
@@ -25,6 +33,8 @@ def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatAr
         ``A^T y``, one row per y.
     lower, upper : (K,) array
         Bounds, which may be infinite, with ``lower < upper``.
+    start : (N, K) array, optional
+        Points near the solutions, such as those of similar y. The solutions do not depend on them, but take less time.
 
     Returns
     -------
@@ -38,7 +48,10 @@ def bounded_least_squares(gram: FloatArray, products: FloatArray, lower: FloatAr
     fast as K is small.
     """
     gram, products = np.asarray(gram, dtype=np.float64), np.asarray(products, dtype=np.float64)
-    result = _approximate(gram, products, lower, upper)
+    if start is None and len(products) > _FEW:
+        result = _approximate(gram, products, lower, upper)
+    else:
+        result = np.clip(np.zeros_like(products) if start is None else start, lower, upper)
     for x, product in zip(result, products, strict=True):
         _solve(gram, product, lower, upper, x, (x > lower) & (x < upper))
     return result
@@ -110,9 +123,9 @@ def _descend(
 ) -> None:
     """Minimise over the free variables, in place; those that reach a bound on the way stay there."""
     while free.any():
-        rows, fixed = np.flatnonzero(free), np.flatnonzero(~free)
-        right = product[rows] - gram[np.ix_(rows, fixed)] @ x[fixed]
-        step = linalg.solve(gram[np.ix_(rows, rows)], right) - x[rows]
+        rows = np.flatnonzero(free)
+        right = product[rows] - gram[rows] @ np.where(free, 0.0, x)
+        step = linalg.solve_definite(gram[rows[:, None], rows], right) - x[rows]
         bound = np.where(step > 0.0, upper[rows], lower[rows])
         room = np.divide(bound - x[rows], step, out=np.full(len(rows), np.inf), where=step != 0.0)
         share = float(room.min())

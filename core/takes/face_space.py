@@ -14,6 +14,7 @@ from ..archives import open_shipped
 from ..arrays import FloatArray
 from ..assets import ASSETS
 from ..landmarks import BROWS, JAW, N_LANDMARKS
+from ..products import dot
 
 FORMAT = "facemime-face-space-1"
 FACE_SPACE_FILE = ASSETS / "expressions" / "face_space.npz"
@@ -107,7 +108,7 @@ class FaceSpace:
             for _ in range(_SWEEPS):
                 for unit, size in enumerate(gram.diagonal()):
                     # The gradient without this unit's own contribution gives its best value in closed form.
-                    left = pull[:, unit] - activations @ gram[unit] + activations[:, unit] * size
+                    left = pull[:, unit] - dot(activations, gram[unit]) + activations[:, unit] * size
                     np.clip((left - _SPARSITY) / (size + _RIDGE), 0.0, _MAX_ACTIVATION, out=activations[:, unit])
                 yield activations
             # Calm frames say most about the person, as they depend least on how well the units match the expression.

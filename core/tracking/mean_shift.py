@@ -9,8 +9,9 @@ from math import inf
 import numpy as np
 
 from ..arrays import FloatArray
+from ..linalg import solve_definite
 from .experts import ResponseMaps
-from .pdm import N_POSE, FittedShape, PointDistributionModel, normal_matrix, solve_normal
+from .pdm import N_POSE, FittedShape, PointDistributionModel, normal_matrix
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def regularised_mean_shift(
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
         right = np.concatenate(pull) @ flat
         right[N_POSE:] -= prior[N_POSE:] * (start.shape_params + moved[N_POSE:])
-        delta = solve_normal(normal, right)  # Equation 3.4.
+        delta = solve_definite(normal, right)  # Equation 3.4.
         moved += delta
         landmarks += (flat @ delta).reshape(2, -1).T
     return model.step(start.pose, start.shape_params, moved)

@@ -177,9 +177,8 @@ def _deviations(pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
         np.asarray(box(pixels, cv2.CV_32F, (PATCH, PATCH)), np.float32)[inside, inside]
         for box in (cv2.boxFilter, cv2.sqrBoxFilter)
     )
-    variance = np.maximum(square - mean * mean, 0.0)
-    variance += np.float32(CONTRAST_FLOOR**2)
-    return np.sqrt(variance, out=variance)
+    variance = np.maximum(square - mean * mean, 0.0) + CONTRAST_FLOOR**2
+    return np.asarray(np.sqrt(variance), dtype=np.float32)
 
 
 def _patches(crops: NDArray[np.float32], side: int, deviation: NDArray[np.float32]) -> NDArray[np.float32]:

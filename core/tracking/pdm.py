@@ -15,6 +15,8 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..landmarks import MIRROR
+from ..linalg import solve_definite
+from ..products import dot
 from ..rotation import euler_to_matrix
 
 N_POSE = 6
@@ -81,7 +83,7 @@ class PointDistributionModel:
 
     def shape(self, shape_params: FloatArray) -> FloatArray:
         """Return the landmarks in the head frame, (N, 3), for coefficients (K,)."""
-        out: FloatArray = (self._shape_basis @ shape_params).reshape(-1, 3)
+        out = dot(self._shape_basis, shape_params).reshape(-1, 3)
         out += self.mean_shape
         return out
 
@@ -275,7 +277,7 @@ def solve_update(
     of_rows = np.concatenate([weights, weights])
     right = (of_rows * shift.reshape(-1)) @ flat
     right[N_POSE:] -= prior[N_POSE:] * shape_params
-    return solve_normal(normal_matrix(flat, of_rows, prior), right)
+    return solve_definite(normal_matrix(flat, of_rows, prior), right)
 
 
 def normal_matrix(flat: FloatArray, weights: FloatArray, prior: FloatArray) -> FloatArray:
@@ -297,15 +299,9 @@ def normal_matrix(flat: FloatArray, weights: FloatArray, prior: FloatArray) -> F
 
     Notes
     -----
-    By OpenCV, as are the solutions: numpy has no BLAS in Blender, and elsewhere its threads wait for each other on a
-    busy machine, even for so small a matrix.
+    By OpenCV, for the reasons given in `core/products.py`.
     """
     normal = np.asarray(cv2.mulTransposed(flat * np.sqrt(weights)[:, None], aTa=True))
     # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
     normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9
     return normal
-
-
-def solve_normal(normal: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve the normal equations with the matrix `normal` (P, P) for a right-hand side (P,)."""
-    return np.asarray(cv2.solve(normal, right, flags=cv2.DECOMP_CHOLESKY)[1][:, 0])

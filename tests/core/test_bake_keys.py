@@ -35,14 +35,22 @@ from takes import performance
 
 
 @settings(max_examples=60)
-@given(seed=st.integers(0, 2**32 - 1), unknowns=st.integers(1, 14), extra=st.integers(0, 20), infinite=st.booleans())
-def test_bounded_least_squares_agrees_with_scipy(seed, unknowns, extra, infinite):
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    unknowns=st.integers(1, 14),
+    extra=st.integers(0, 20),
+    rows=st.sampled_from([1, 3, 6]),
+    infinite=st.booleans(),
+    started=st.booleans(),
+)
+def test_bounded_least_squares_agrees_with_scipy_from_any_start(seed, unknowns, extra, rows, infinite, started):
     rng = np.random.default_rng(seed)
-    matrix, wanted = rng.normal(size=(unknowns + extra, unknowns)), rng.normal(size=(3, unknowns + extra))
+    matrix, wanted = rng.normal(size=(unknowns + extra, unknowns)), rng.normal(size=(rows, unknowns + extra))
     matrix += 0.3 * np.eye(unknowns + extra, unknowns)
     lower = rng.uniform(-0.4, 0.0, unknowns)
     upper = np.full(unknowns, np.inf) if infinite else lower + rng.uniform(0.01, 0.6, unknowns)
-    found = bounded_least_squares(matrix.T @ matrix, wanted @ matrix, lower, upper)
+    start = rng.normal(size=(rows, unknowns)) if started else None
+    found = bounded_least_squares(matrix.T @ matrix, wanted @ matrix, lower, upper, start)
     assert (found >= lower).all() and (found <= upper).all()
     for x, y in zip(found, wanted, strict=True):
         best = lsq_linear(matrix, y, (lower, upper), method="bvls", tol=1e-14, max_iter=500)

@@ -143,6 +143,13 @@ def test_a_frame_depends_only_on_itself(solver):
     np.testing.assert_allclose(solver.frames(observed), alone, atol=1e-6)
 
 
+def test_coefficients_do_not_depend_on_those_of_the_frame_before(solver):
+    observed, near = np.random.default_rng(6).normal(0.0, 0.02, (12, N_OBSERVED)), np.zeros((1, len(FITTED)))
+    in_turn = np.concatenate([solver.frames(row[None], near) for row in observed])
+    assert near.any()
+    np.testing.assert_allclose(in_turn, solver.frames(observed), atol=1e-6)
+
+
 def test_a_take_is_corrected_for_the_error_of_its_neutral_face(solver):
     model = load_coefficient_model()
     wrong = model.neutral.modes[0] * 1.5

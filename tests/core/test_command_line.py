@@ -330,6 +330,20 @@ def test_a_command_started_to_ignore_ctrl_c_ignores_it(tmp_path):
     assert process.returncode == 0 and len(load_take(tmp_path / "take.facetake")) == 255
 
 
+# Threads
+
+
+@pytest.mark.parametrize("chosen", [None, "4"])
+def test_numpy_finds_one_thread_for_its_blas_unless_the_user_chose_a_number(tmp_path, chosen):
+    (tmp_path / "numpy.py").write_text("import os\nprint(os.environ['OPENBLAS_NUM_THREADS'])\nos._exit(0)\n")
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    environment |= {"PYTHONPATH": str(tmp_path), "PYTHONUNBUFFERED": "1"}
+    environment |= {} if chosen is None else {"OPENBLAS_NUM_THREADS": chosen}
+    line = [*START, "--version"]
+    done = subprocess.run(line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.stdout == f"{chosen or 1}\n", done.stderr
+
+
 @pytest.mark.parametrize(
     "line",
     [

@@ -7,6 +7,7 @@ from threading import Barrier
 from time import sleep
 
 import numpy as np
+import pytest
 
 from facemime.core import linalg
 
@@ -44,6 +45,20 @@ def test_threads_get_the_results_of_a_single_one() -> None:
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda many: [linalg.inv(matrix) for matrix in many], systems))
     np.testing.assert_array_equal(np.array(found), expected)
+
+
+@pytest.mark.parametrize("shift", [0.0, -2.0])
+def test_a_symmetric_system_is_solved_whether_it_is_definite_or_not(shift) -> None:
+    rng = np.random.default_rng(3)
+    half, wanted = rng.normal(size=(9, 6)), rng.normal(size=6)
+    matrix = half.T @ half + shift * np.eye(6)
+    assert (np.linalg.eigvalsh(matrix).min() > 0.0) == (shift == 0.0)
+    np.testing.assert_allclose(linalg.solve_definite(matrix, matrix @ wanted), wanted, atol=1e-9)
+
+
+def test_a_singular_system_is_an_error() -> None:
+    with pytest.raises(np.linalg.LinAlgError):
+        linalg.solve_definite(np.zeros((3, 3)), np.ones(3))
 
 
 def test_no_module_calls_lapack_past_the_guard() -> None:

@@ -1,4 +1,4 @@
-"""Products of matrices by OpenCV."""
+"""Products of matrices without a BLAS."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from facemime.core import products
-from facemime.core.products import multiply
+from facemime.core.products import dot, multiply
 
 
 @pytest.mark.parametrize("shape", [(1, 1, 1), (5, 7, 3), (66, 5343, 80), (300, 40, 1), (0, 4, 3), (4, 0, 3), (4, 3, 0)])
@@ -18,6 +18,14 @@ def test_products_equal_those_of_numpy_in_double_precision(shape) -> None:
     assert (np.abs(multiply(left, right) - left @ right) <= bound).all()
     assert (np.abs(multiply(left, right.T, transposed=True) - left @ right) <= bound).all()
     assert multiply(left, right).dtype == np.float32
+
+
+@pytest.mark.parametrize("shape", [(213,), (2, 257), (3, 4, 5)])
+def test_small_products_equal_those_of_numpy(shape) -> None:
+    rng = np.random.default_rng(5)
+    left, matrix = rng.normal(size=shape), rng.normal(size=(shape[-1], 7))
+    np.testing.assert_allclose(dot(left, matrix), left @ matrix, atol=1e-12)
+    np.testing.assert_allclose(dot(left, matrix[:, 0]), left @ matrix[:, 0], atol=1e-12)
 
 
 def test_earlier_products_keep_their_values_and_inputs_are_not_changed() -> None:
