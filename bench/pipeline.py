@@ -20,6 +20,7 @@ from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.targets import own_targets
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.rigs import read_rig
+from facemime.core.bake.arkit import FrameCoefficients
 from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings
@@ -34,6 +35,7 @@ STAGES = {
     "track": "track, frame to frame",
     "drive": "drive, 1,781 vertices",
     "write": "write to the shape key",
+    "coefficients": "ARKit's coefficients",
 }
 
 
@@ -72,13 +74,16 @@ def measure(
 ) -> tuple[dict[str, list[float]], int, float]:
     """Seconds of each stage and frame, the number of frames, and seconds in total.
 
-    A frame is driven and written as by a live puppet, without its drawing.
+    A frame is driven and written as by a live puppet, without its drawing. Coefficients, which a stream sends and a
+    character's keys need, are found separately.
     """
+    options = options or DriveSettings()
     tracker = FaceTracker.load()
-    neutral = calibrate(track_video(video, tracker).finish())
+    take = track_video(video, tracker).finish()
+    neutral = calibrate(take)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = add_head(bpy.context)
-    driver = HeadDriver(read_rig(head), neutral, options or DriveSettings())
+    driver = HeadDriver(read_rig(head), neutral, options)
     shown = LiveHeadObject(head, own_targets(head))
     shown.attach()
     times: dict[str, list[float]] = defaultdict(list)
@@ -88,6 +93,11 @@ def measure(
             if frame.index % 10 == 0:
                 tracker.locate(frame.image)
                 times["detect"].append(tracker.timings["detect"])
+    found = FrameCoefficients(neutral, options)
+    for index in np.flatnonzero(take.found).tolist():
+        result, began = take.result(index), clock()
+        found.of(result)
+        times["coefficients"].append(clock() - began)
     tracker.reset()
     begin = last = clock()
 
