@@ -2,7 +2,7 @@
 
 Blender's own numpy is built without LAPACK. numpy's substitute for it has global variables, so that before numpy 2.2
 two threads that use it at once get wrong results or end the process (numpy, issue 22509). These functions wait for each
-other instead; otherwise they are those of `numpy.linalg`.
+other instead; otherwise they are those of `numpy.linalg`. OpenCV solves the small systems of each frame without a wait.
 """
 
 from __future__ import annotations

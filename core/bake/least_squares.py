@@ -41,6 +41,11 @@ def bounded_least_squares(
     (N, K) float64
         The exact solutions.
 
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
+
     Notes
     -----
     Accelerated projected gradients (Beck & Teboulle 2009) for all rows at once find most active bounds in a few matrix
@@ -48,6 +53,7 @@ def bounded_least_squares(
     fast as K is small.
     """
     gram, products = np.asarray(gram, dtype=np.float64), np.asarray(products, dtype=np.float64)
+    _largest(gram, products)
     if start is None and len(products) > _FEW:
         result = _approximate(gram, products, lower, upper)
     else:
@@ -77,6 +83,11 @@ def bounded_minimum(
     -------
     (K,) float64
         The exact minimum.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
     """
     x = np.array(start, dtype=np.float64)
     _solve(gram, product, lower, upper, x, (x > lower) & (x < upper))
@@ -100,11 +111,19 @@ def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, uppe
     return np.asarray(np.clip(x * unit, lower, upper))
 
 
+def _largest(gram: FloatArray, products: FloatArray) -> float:
+    """Return the size of a system's largest numbers, which have to be finite."""
+    largest = float(np.abs(products).max(initial=0.0) + np.abs(gram).max(initial=0.0))
+    if not largest < np.inf:
+        raise ValueError("The system contains numbers that are not finite.")
+    return largest
+
+
 def _solve(
     gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, x: FloatArray, free: NDArray[np.bool_]
 ) -> None:
     """Move `x` to the minimum (Stark & Parker 1995), in place; `free` marks the variables off their bounds."""
-    tolerance = _TOLERANCE * max(float(np.abs(product).max(initial=0.0)), float(np.abs(gram).max(initial=0.0)), 1e-300)
+    tolerance = _TOLERANCE * max(_largest(gram, product), 1e-300)
     _descend(gram, product, lower, upper, x, free)
     for _ in range(64 * len(gram)):  # terminates, as the objective falls with each step; the limit is for rounding
         slope = gram @ x - product

@@ -57,6 +57,16 @@ def test_bounded_least_squares_agrees_with_scipy_from_any_start(seed, unknowns, 
         assert np.square(matrix @ x - y).sum() <= 2.0 * best.cost + 1e-7 * (1.0 + best.cost)
 
 
+@pytest.mark.parametrize("rows", [1, 6])
+def test_a_system_that_is_not_finite_is_refused(rows):
+    wanted = np.ones((rows, 3))
+    wanted[-1, 1] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        bounded_least_squares(np.eye(3), wanted, np.zeros(3), np.ones(3))
+    with pytest.raises(ValueError, match="not finite"):
+        bounded_least_squares(np.full((3, 3), np.nan), np.ones((rows, 3)), np.zeros(3), np.ones(3))
+
+
 def test_the_coefficients_are_the_built_in_heads_face_units():
     assert load_head().unit_names == COEFFICIENTS
 
