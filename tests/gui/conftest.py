@@ -78,7 +78,7 @@ def installed(suite: str, name: str, size: tuple[int, int]) -> Iterator[Blender]
 def blender(request: pytest.FixtureRequest) -> Iterator[Blender]:
     """A window with the extension installed. Each test starts with a new file."""
     name = Path(request.module.__file__).stem.removeprefix("test_")
-    with installed(request.param, name, size=(1100, 1080)) as window:
+    with installed(request.param, name, size=(960, 1080)) as window:
         yield window
 
 

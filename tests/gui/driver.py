@@ -52,4 +52,5 @@ preferences.view.use_save_prompt = False
 preferences.view.smooth_view = 0
 preferences.view.filebrowser_display_type = "SCREEN"
 preferences.system.viewport_aa = "OFF"
+preferences.system.use_overlay_smooth_wire = False
 bpy.app.timers.register(tick, persistent=True)

@@ -41,7 +41,12 @@ def watched(name, draw):
     return drawing
 """
 """Blender does not say which panels are open either, but draws only those."""
-_TAG = "for area in bpy.context.window.screen.areas: area.tag_redraw()"
+_TAG = """
+for area in bpy.context.window.screen.areas:
+    for region in area.regions:
+        if region.type == "UI":
+            region.tag_redraw()
+"""
 _HEADER = 1.344
 """Height of a collapsed panel, in interface units."""
 _BOX, _STEPS = 6.6, 3.92
@@ -51,6 +56,9 @@ _STEP = 0.75
 """Distance between probes, relative to the height of a button."""
 _NOTHING = "(nothing)"
 _PASTE = f"value, bpy.context.window_manager.clipboard = bpy.context.window_manager.clipboard, {_NOTHING!r}"
+_KNOWN: dict[tuple[float, ...], dict[str, list[tuple[float, float]]]] = {}
+"""Where buttons were found in a window of some size and resolution scale: tried first, as each probe costs a redraw."""
+_GUESSES = 4
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,8 @@ class Sidebar:
         self.blender = blender
         self._box = _BOX if blender.get(_HAS_BOX) else 0.0
         self._top = 1.0
-        self._known: dict[str, tuple[tuple[float, float], ...]] = {}
         self.unit = 20.0 * blender.get("bpy.context.preferences.system.ui_scale")
+        self._known = _KNOWN.setdefault((*blender.size, self.unit), {})
         blender.do(_WATCH)
         self.show()
 
@@ -88,12 +96,16 @@ class Sidebar:
         """Open the sidebar by its key and the tab by a click."""
         wait(self._shown, "the sidebar")
         tabs = self.box()
-        x = tabs.x + tabs.width - self.unit / 2
-        for y in range(tabs.y + round(self.unit), tabs.y + tabs.height, round(self.unit)):
-            if self.blender.do(_CATEGORY) == TAB:
-                return
-            self.blender.click(x, y)
+        known = self._known.setdefault(TAB, [])
+        probed = range(tabs.y + round(self.unit), tabs.y + tabs.height, round(self.unit))
+        if self.blender.do(_CATEGORY) == TAB:
+            return
+        for place in (*known, *((tabs.x + tabs.width - self.unit / 2, y) for y in probed)):
+            self.blender.click(*place)
             self.blender.redraw()
+            if self.blender.do(_CATEGORY) == TAB:
+                known[:] = [place]
+                return
         raise GuiError(f"The sidebar has no tab {TAB}.")
 
     def _shown(self) -> bool:
@@ -163,7 +175,6 @@ class Sidebar:
         box = self.box()
         self.blender.input("mousemove", box.x + 60, box.y + 300, "click", "--repeat", 60, "--delay", 5, 5)
         self.blender.redraw()
-        self._known.clear()
 
     def open_presets(self) -> None:
         """Open the menu in the header of Expression, with all panels above collapsed."""
@@ -217,10 +228,11 @@ class Sidebar:
         self.blender.move(*next(self.places()))
         self.blender.redraw()
         self.blender.do(_PASTE)
-        for place in (*self._known.get(name, ()), *self.places()):
+        known = self._known.setdefault(name, [])
+        for place in (*known, *self.places()):
             found = self.under_mouse(*place, keys)
             if name in found:
-                self._known[name] = (place,)
+                known[:] = [place, *(other for other in known if other != place)][:_GUESSES]
                 return place
             seen.append(found)
         raise GuiError(f"No button of the sidebar is {name}; there are {sorted({*seen} - {_NOTHING})}")

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import shutil
 import subprocess
+import tempfile
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from catalogues import LANGUAGE, WRONG, write_catalogue
@@ -38,16 +40,16 @@ for cls in ours:
 def blender(request) -> Iterator[Blender]:
     """A Blender whose catalogue gives every text of Facemime another meaning."""
     source = place_of(request.param)
-    place = source.with_name(f"{source.name}-language")
-    shutil.rmtree(place, ignore_errors=True)
-    subprocess.run(["cp", "--archive", "--link", source, place], check=True)
+    folder = Path(tempfile.mkdtemp(prefix="language-", dir=source.parent))
+    place = folder / source.name
     try:
+        subprocess.run(["cp", "--archive", "--link", source, place], check=True)
         write_catalogue(place / "usr" / "share" / "locale")
         with Blender(place, f"{request.param}/language", size=(1100, 1080)) as window:
             install(window)
             yield window
     finally:
-        shutil.rmtree(place)
+        shutil.rmtree(folder)
 
 
 def test_no_text_of_the_panels_has_the_meaning_that_blender_gives_it(blender):

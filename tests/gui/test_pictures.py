@@ -72,12 +72,14 @@ now = time.perf_counter()
 countdown.perf_counter = lambda: now
 """
 """Stops the clock of a countdown, which is over before a busy machine has drawn it."""
-_NO_CURSOR = """
+_OVERLAYS = """
 for area in bpy.context.window.screen.areas:
     if area.type == "VIEW_3D":
-        area.spaces.active.overlay.show_cursor = False
+        overlay = area.spaces.active.overlay
+        overlay.show_cursor = False
+        overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = True
 """
-"""The 3D cursor would be in the middle of a mesh that is imported."""
+"""The grid is shown as in Blender; the 3D cursor would be in the middle of a mesh that is imported."""
 _AREA = """
 area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
 value = [area.x, bpy.context.window.height - area.y - area.height, area.width, area.height]
@@ -104,7 +106,7 @@ class Studio:
         assert blender.get("sorted(obj.name for obj in bpy.data.objects)") == ["Camera", "Cube", "Light"]
         blender.do(TOOLS)
         blender.do(_HELD)
-        blender.do(_NO_CURSOR)
+        blender.do(_OVERLAYS)
         self.sidebar = Sidebar(blender)
 
     def press(self, operator: str) -> None:
