@@ -73,13 +73,14 @@ countdown.perf_counter = lambda: now
 """
 """Stops the clock of a countdown, which is over before a busy machine has drawn it."""
 _OVERLAYS = """
+bpy.context.preferences.system.use_overlay_smooth_wire = True
 for area in bpy.context.window.screen.areas:
     if area.type == "VIEW_3D":
         overlay = area.spaces.active.overlay
         overlay.show_cursor = False
         overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = True
 """
-"""The grid is shown as in Blender; the 3D cursor would be in the middle of a mesh that is imported."""
+"""Lines and the grid are drawn as in Blender; the 3D cursor would be in the middle of a mesh that is imported."""
 _AREA = """
 area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
 value = [area.x, bpy.context.window.height - area.y - area.height, area.width, area.height]
