@@ -7,7 +7,6 @@ set without the mouse.
 
 from __future__ import annotations
 
-import math
 import shutil
 import subprocess
 import tempfile
@@ -17,54 +16,29 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from PIL import Image
 from scans import write_scan
+from studio import ASIDE, Studio, keep
 from walking import (
     CLIP,
     HEAD,
     SIZES,
-    TOOLS,
     choose_file,
     choose_the_sample_clip,
     middle,
-    shows_stop,
     skin,
 )
 
 from conftest import QUICK, installed
-from sidebar import Sidebar
-from window import MODULE, ROOT, SHOTS
+from window import MODULE, ROOT
 
 pytestmark = pytest.mark.thorough
 
-PICTURES = SHOTS / "pictures"
 _HIGH = (1366, 1060)
 """Size of a window that has room for the whole panel Takes."""
-_ASIDE = (0.3, 0.98)
-"""Where the mouse waits: right, down, relative to the view."""
-_COLOURS = 256
-_TRIES = 6
 _OPEN_MOUTH, _LENGTH = 2.76, 10.2
 """Time at which the mouth is open in the sample clip, and its length, seconds."""
 _TURNS = 2
 """How often the clip is played for a picture with a frame rate; the fastest is kept, as other programs may run."""
-_HELD = f"""
-import math
-from {MODULE}.core.live import sources
-class Held(sources.Clock):
-    time, limit = 0.0, math.inf
-    def now(self):
-        return self.time
-    def wait_until(self, due, timeout, closed):
-        if due > self.limit:
-            closed.wait(timeout)
-            return False
-        closed.wait(max(due - self.time, 0.0))
-        self.time = max(self.time, due)
-        return True
-sources.PacedSource.pace = held = Held()
-"""
-"""A clock at the pace of the clip, or slower, that stops at `limit` seconds, so that a picture shows that frame."""
 _STOPPED = f"""
 import time
 from {MODULE}.sessions import countdown
@@ -72,19 +46,6 @@ now = time.perf_counter()
 countdown.perf_counter = lambda: now
 """
 """Stops the clock of a countdown, which is over before a busy machine has drawn it."""
-_OVERLAYS = """
-bpy.context.preferences.system.use_overlay_smooth_wire = True
-for area in bpy.context.window.screen.areas:
-    if area.type == "VIEW_3D":
-        overlay = area.spaces.active.overlay
-        overlay.show_cursor = False
-        overlay.show_floor = overlay.show_axis_x = overlay.show_axis_y = True
-"""
-"""Lines and the grid are drawn as in Blender; the 3D cursor would be in the middle of a mesh that is imported."""
-_AREA = """
-area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
-value = [area.x, bpy.context.window.height - area.y - area.height, area.width, area.height]
-"""
 _BORDER = """
 area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
 value = [area.x + area.width, bpy.context.window.height - area.y - area.height // 2]
@@ -95,85 +56,6 @@ editor = next(a for a in bpy.context.window.screen.areas if a.type == "PROPERTIE
 editor.spaces.active.context = "DATA"
 {HEAD}.active_shape_key_index = list({HEAD}.data.shape_keys.key_blocks.keys()).index("jawOpen")
 """
-
-
-class Studio:
-    """A window with Blender's default scene and Facemime's tab, of which pictures are taken."""
-
-    def __init__(self, tutorial: str, blender) -> None:
-        self.tutorial, self.blender = tutorial, blender
-        blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
-        blender.redraw()
-        assert blender.get("sorted(obj.name for obj in bpy.data.objects)") == ["Camera", "Cube", "Light"]
-        blender.do(TOOLS)
-        blender.do(_HELD)
-        blender.do(_OVERLAYS)
-        self.sidebar = Sidebar(blender)
-
-    def press(self, operator: str) -> None:
-        """Click a button of Facemime."""
-        self.sidebar.press(f"bpy.ops.facemime.{operator}")
-
-    def shows(self, *names: str) -> None:
-        """Check that buttons of Facemime can be seen."""
-        for name in names:
-            self.sidebar.find(f"bpy.ops.facemime.{name}")
-
-    def start(self, until: float = math.inf) -> None:
-        """Start the puppet and play to `until` seconds of the clip; Stop can be seen."""
-        self.blender.do(f"sources.PacedSource.pace = held = Held(); held.limit = {min(until, 0.4)}")
-        self.press("puppet")
-        self.play(0.4)
-        assert self.shows_stop(cv2.imread(str(self.blender.shot("stop"))))
-        self.play(until)
-
-    def shows_stop(self, shot: np.ndarray) -> bool:
-        """Return whether a window shows the button Stop, as one that is pressed."""
-        return shows_stop(shot, self.sidebar.find("bpy.ops.facemime.stop_puppet"))
-
-    def play(self, until: float) -> None:
-        """Continue the puppet to `until` seconds of the clip; the mouse waits where nothing reacts to it."""
-        self.blender.move(*self.sidebar.view(*_ASIDE))
-        self.blender.redraw()
-        self.blender.do(f"held.limit = {'math.inf' if math.isinf(until) else until}")
-        if not math.isinf(until):
-            self.blender.wait_for(f"Session.current.shown is not None and Session.current.shown.time > {until - 0.06}")
-
-    def stop(self) -> None:
-        """Click Stop."""
-        self.blender.do("held.limit = math.inf")
-        self.press("stop_puppet")
-        self.blender.wait_for("Session.current is None and workers() == []")
-
-    def settled(self, name: str) -> np.ndarray:
-        """Return the window as soon as it no longer changes, with the mouse where nothing reacts to it."""
-        self.blender.move(*self.sidebar.view(*_ASIDE))
-        last = self.shot(name)
-        for _ in range(_TRIES):
-            shot = self.shot(name)
-            if np.array_equal(shot, last):
-                return shot
-            last = shot
-        raise AssertionError(f"The window of {name} does not come to rest.")
-
-    def shot(self, name: str) -> np.ndarray:
-        """Return the window as it is, such as one whose puppet is running."""
-        return cv2.imread(str(self.blender.shot(name)))
-
-    def picture(self, name: str, shot: np.ndarray | None = None, height: int = 0, whole: bool = False) -> np.ndarray:
-        """Keep a picture of the viewport with its sidebar, or of the whole window; return the middle of the view."""
-        shot = self.settled(name) if shot is None else shot
-        x, y, width, tall = self.blender.do(_AREA)
-        kept = shot if whole else shot[y : y + tall, x : x + width]
-        keep(kept[: height or None], f"{self.tutorial}-{name}")
-        return middle(self.sidebar, shot)
-
-
-def keep(picture: np.ndarray, name: str) -> None:
-    """Write a BGR image as a small PNG with few colours."""
-    PICTURES.mkdir(parents=True, exist_ok=True)
-    few = Image.fromarray(picture[:, :, ::-1]).quantize(_COLOURS, kmeans=2, dither=Image.Dither.NONE)
-    few.save(PICTURES / f"{name}.png", optimize=True)
 
 
 @pytest.fixture
@@ -250,7 +132,7 @@ def test_the_first_tutorial_is_walked_and_each_picture_shows_its_step(studio):
     assert blender.get("len(bpy.context.scene.facemime.performers)") == 1
     sidebar.open_panel("FACEMIME_PT_expression")
     sidebar.find("strength_lower")
-    blender.move(*sidebar.view(*_ASIDE))
+    blender.move(*sidebar.view(*ASIDE))
     studio.picture("expression", studio.shot("expression"))
     studio.stop()
     assert changed(middle(sidebar, studio.settled("stopped")), rest) < 0.01
@@ -379,9 +261,7 @@ def add_head_with_keys(studio: Studio) -> None:
 @pytest.fixture
 def shoot() -> Iterator[Path]:
     """A folder whose name can be seen in the report."""
-    folder = Path(tempfile.gettempdir()) / "shoot"
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir()
+    folder = Path(tempfile.mkdtemp(prefix="shoot-"))
     yield folder
     shutil.rmtree(folder)
 
