@@ -57,7 +57,7 @@ def main() -> int:
     parser.add_argument("-k", dest="only", default="", metavar="EXPRESSION", help="run only these tests, as in pytest")
     arguments = parser.parse_args()
     tests = (LIVE if not arguments.windows else []) + (WINDOWS if not arguments.live else [])
-    at_once = 2 * (os.cpu_count() or 2) + 1
+    at_once = min(arguments.runs, 2 * (os.cpu_count() or 2) + 1)
     tests += [] if arguments.thorough else ["-m", "not thorough"]
     tests += ["-k", arguments.only] if arguments.only else []
     failed = 0

@@ -58,7 +58,8 @@ _NOTHING = "(nothing)"
 _PASTE = f"value, bpy.context.window_manager.clipboard = bpy.context.window_manager.clipboard, {_NOTHING!r}"
 _KNOWN: dict[tuple[float, ...], dict[str, list[tuple[float, float]]]] = {}
 """Where buttons were found in a window of some size and resolution scale: tried first, as each probe costs a redraw."""
-_GUESSES = 4
+_PLACES = 4
+"""Places that are remembered of a button, the last one first."""
 
 
 @dataclass(frozen=True)
@@ -95,11 +96,10 @@ class Sidebar:
     def show(self) -> None:
         """Open the sidebar by its key and the tab by a click."""
         wait(self._shown, "the sidebar")
-        tabs = self.box()
-        known = self._known.setdefault(TAB, [])
-        probed = range(tabs.y + round(self.unit), tabs.y + tabs.height, round(self.unit))
         if self.blender.do(_CATEGORY) == TAB:
             return
+        tabs, known = self.box(), self._known.setdefault(TAB, [])
+        probed = range(tabs.y + round(self.unit), tabs.y + tabs.height, round(self.unit))
         for place in (*known, *((tabs.x + tabs.width - self.unit / 2, y) for y in probed)):
             self.blender.click(*place)
             self.blender.redraw()
@@ -232,7 +232,7 @@ class Sidebar:
         for place in (*known, *self.places()):
             found = self.under_mouse(*place, keys)
             if name in found:
-                known[:] = [place, *(other for other in known if other != place)][:_GUESSES]
+                known[:] = [place, *(other for other in known if other != place)][:_PLACES]
                 return place
             seen.append(found)
         raise GuiError(f"No button of the sidebar is {name}; there are {sorted({*seen} - {_NOTHING})}")

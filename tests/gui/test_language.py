@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Iterator
@@ -40,16 +39,13 @@ for cls in ours:
 def blender(request) -> Iterator[Blender]:
     """A Blender whose catalogue gives every text of Facemime another meaning."""
     source = place_of(request.param)
-    folder = Path(tempfile.mkdtemp(prefix="language-", dir=source.parent))
-    place = folder / source.name
-    try:
+    with tempfile.TemporaryDirectory(prefix="language-", dir=source.parent) as folder:
+        place = Path(folder) / source.name
         subprocess.run(["cp", "--archive", "--link", source, place], check=True)
         write_catalogue(place / "usr" / "share" / "locale")
         with Blender(place, f"{request.param}/language", size=(1100, 1080)) as window:
             install(window)
             yield window
-    finally:
-        shutil.rmtree(folder)
 
 
 def test_no_text_of_the_panels_has_the_meaning_that_blender_gives_it(blender):

@@ -18,15 +18,7 @@ import numpy as np
 import pytest
 from scans import write_scan
 from studio import ASIDE, Studio, keep
-from walking import (
-    CLIP,
-    HEAD,
-    SIZES,
-    choose_file,
-    choose_the_sample_clip,
-    middle,
-    skin,
-)
+from walking import CLIP, HEAD, SIZES, choose_file, choose_the_sample_clip, middle, skin
 
 from conftest import QUICK, installed
 from window import MODULE, ROOT
@@ -261,9 +253,8 @@ def add_head_with_keys(studio: Studio) -> None:
 @pytest.fixture
 def shoot() -> Iterator[Path]:
     """A folder whose name can be seen in the report."""
-    folder = Path(tempfile.mkdtemp(prefix="shoot-"))
-    yield folder
-    shutil.rmtree(folder)
+    with tempfile.TemporaryDirectory(prefix="shoot-") as folder:
+        yield Path(folder)
 
 
 def test_the_fourth_tutorial_is_walked_and_its_picture_shows_the_report(shoot):

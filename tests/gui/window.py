@@ -19,8 +19,6 @@ MODULE = "bl_ext.user_default.facemime"
 SHOTS = Path(os.environ.get("FACEMIME_SHOTS", ROOT / "build" / "gui"))
 _DEADLINE = 120.0
 """Seconds that a test waits: Blender renders in software, and the machine may be busy."""
-
-
 _STARTUP = """
 for screen in bpy.data.screens:
     for area in screen.areas:
@@ -94,7 +92,7 @@ class Blender:
             "TMPDIR": str(self.inside),
             "BLENDER_USER_RESOURCES": str(self.inside / "profile"),
             "LIBGL_ALWAYS_SOFTWARE": "1",
-            "MESA_SHADER_CACHE_DIR": "/var/cache/facemime-shaders",
+            "MESA_SHADER_CACHE_DIR": "/var/cache/facemime-shaders",  # for all windows of this Blender
             "PYTHONUNBUFFERED": "1",
             "LANG": "C.UTF-8",
         }
