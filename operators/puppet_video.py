@@ -110,7 +110,8 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         lost = len(take) - int(take.found.sum())
         frames, summary = len(take), bake.summary()
         report(self, f"{frames} frames ({lost} without a face), {summary}")
-        for warning in bake.warnings:
+        lacks = take.info.get("recovered")
+        for warning in (*([str(lacks)] if lacks else []), *bake.warnings):
             report(self, warning, "WARNING")
         return {"FINISHED"}
 

@@ -18,6 +18,7 @@ from ...core.tracking.settings import DEFAULTS, TrackingSettings
 from ...core.tracking.tracker import FaceTracker
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import INTERRUPTED, STOPPING
+from ..terminal.takes import tell_what_is_missing
 
 INTERRUPTED_NAME = ".interrupted"
 _UNFINISHED = f".unfinished{SUFFIX}"
@@ -99,6 +100,7 @@ def track(
         raise KeyboardInterrupt("no frame was tracked yet")
     take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
+    tell_what_is_missing(video, take)
     if not take.found.any() and not take.info.get("interrupted"):
         unfinished.unlink()
         raise SourceError(

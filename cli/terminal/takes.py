@@ -18,6 +18,11 @@ def load_with_warnings(path: Path) -> Take:
     """
     check_readable(path)
     take = load_take(path)
+    tell_what_is_missing(path, take)
+    return take
+
+
+def tell_what_is_missing(path: Path, take: Take) -> None:
+    """Report on the standard error what could not be read of `path`, the file of a take or its video."""
     if lost := take.info.get("recovered"):
         tell(f"facemime: {path}: {lost}")
-    return take

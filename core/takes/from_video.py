@@ -13,6 +13,8 @@ from .file import TakeWriter
 from .take import TakeRecorder, describe
 
 OnFrame = Callable[[int, int, TrackResult], bool | None]
+_COMPLETE = 0.9
+"""Share of the stated frames, or of the stated duration, from which on a video is complete: headers are inexact."""
 
 
 def track_video(
@@ -42,7 +44,8 @@ def track_video(
     -------
     TakeRecorder
         Its `finish` returns the take. A KeyboardInterrupt ends tracking early; what was tracked is kept, and
-        ``info["interrupted"]`` is set.
+        ``info["interrupted"]`` is set. If the video ends before its header says, ``info["recovered"]`` says so in a
+        sentence.
 
     Raises
     ------
@@ -72,6 +75,11 @@ def track_video(
                 if on_frame is not None and on_frame(len(recorder), source.frame_count, result) is False:
                     recorder.info["interrupted"] = True
                     break
+            else:
+                stated = source.frame_count / source.fps
+                if len(recorder) < _COMPLETE * source.frame_count and frame.time < _COMPLETE * stated:
+                    missing = f"{stated - frame.time:.2f} s after {frame.time:.2f} s"
+                    recorder.info["recovered"] = f"The video was cut or damaged. Missing: {missing}."
         except KeyboardInterrupt:
             recorder.info["interrupted"] = True
         return recorder

@@ -116,6 +116,15 @@ def test_a_file_that_cannot_be_read_is_reported_and_changes_nothing(tmp_path, na
     assert Session.current is None
 
 
+def test_the_operator_reports_what_a_damaged_take_lacks(tmp_path, capfd):
+    path = tmp_path / "take.facetake"
+    save_take(performance(), path)
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    add_head(bpy.context)
+    assert bpy.ops.facemime.puppet_video(filepath=str(path)) == {"FINISHED"}
+    assert "The file was cut or damaged. Missing: " in capfd.readouterr().out
+
+
 def test_a_mesh_without_landmarks_is_reported(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     bpy.ops.mesh.primitive_cube_add()
