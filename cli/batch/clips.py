@@ -188,6 +188,7 @@ def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnail
         "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(clip.name)}.*") if path.suffix in _OUTPUTS),
         "frames": len(take),
         "found": int(take.found.sum()),
+        "missing": str(take.info.get("recovered", "")),
         "length": float(take.times[-1] - take.times[0]),
         "seconds": seconds,
         "confidence": confidence_curve(take),

@@ -10,7 +10,7 @@ from typing import Any
 from ...core.reading import as_integer, as_list, as_number, as_object, shown
 
 _MOST_FRAMES, _MOST_SECONDS = 2**31, 1e9
-_MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES = 16, 1000, 16
+_MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES, _MOST_CHARACTERS = 16, 1000, 16, 1000
 
 
 def checked_record(data: Any) -> dict[str, Any]:
@@ -30,6 +30,9 @@ def checked_record(data: Any) -> dict[str, Any]:
     if not record["outputs"]:
         raise ValueError("it names no outputs")
     record["found"] = as_integer(given.get("found"), "found", 0, record["frames"])
+    record["missing"] = given.get("missing", "")  # earlier records lack it
+    if not isinstance(record["missing"], str) or len(record["missing"]) > _MOST_CHARACTERS:
+        raise ValueError(f"{shown(record['missing'])} does not say what is missing")
     for name in ("length", "seconds"):
         record[name] = as_number(given.get(name), name, 0.0, _MOST_SECONDS)
     curve = as_list(given.get("confidence"), "confidence", _MOST_POINTS)

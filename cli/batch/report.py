@@ -97,6 +97,8 @@ def _article(entry: Entry, folder: Path) -> str:
             f"<p>{record['length']:.1f} s, a face in {record['found']:d} of {record['frames']:d} frames, "
             f"processed in {record['seconds']:.1f} s</p>"
         )
+        if missing := record.get("missing"):
+            parts.append(f"<pre>{escape(missing)}</pre>")
         parts.append(_figure(_curve(record["confidence"]), "confidence over time, 0 to 1"))
         parts += [
             _figure(_image(picture), f"least certain, at {time:.2f} s")

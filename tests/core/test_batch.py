@@ -176,6 +176,7 @@ def test_a_clip_whose_record_lacks_a_part_is_not_done(done, key):
         *(("worst", value) for value in (["x"], [[]], [None])),
         *(("thumbnails", value) for value in (['"><script>alert(1)</script>'], [3], {})),
         ("clip", ["a"]),
+        *(("missing", value) for value in (3, None, "x" * 2000)),
     ],
 )
 def test_a_clip_with_an_invalid_record_is_not_done(done, key, value):
@@ -188,9 +189,19 @@ def test_names_and_messages_are_escaped_in_the_report(tmp_path):
     odd = "<script>alert(1)</script>\udce9"
     record = {"length": 1.0, "found": 1, "frames": 2, "seconds": 1.0, "confidence": [], "worst": [0.5]}
     record["thumbnails"] = ['"><script>alert(2)</script>']
+    record["missing"] = "<script>alert(3)</script>"
     write_report([Entry(odd, odd, odd, odd, record), Entry("b", "failed")], tmp_path)
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
-    assert "<script" not in page and "&lt;script&gt;" in page
+    assert "<script" not in page and "&lt;script&gt;" in page and "alert(3)" in page
+
+
+def test_the_report_says_what_is_missing_from_a_clip(tmp_path):
+    take = performance()
+    take.info["recovered"] = "The video was cut or damaged. Missing: 3.00 s after 2.36 s."
+    write_record(job := Clip(tmp_path / "a.mp4", "a-1"), tmp_path, take, 1.0, [])
+    record = json.loads(job.output(tmp_path, ".json").read_text())
+    write_report([Entry("a.mp4", "done", "a-1", record=record)], tmp_path)
+    assert take.info["recovered"] in (tmp_path / "report.html").read_text()
 
 
 def test_the_report_is_one_file_and_lists_failures_first(tmp_path):
