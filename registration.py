@@ -4,6 +4,7 @@ import atexit
 
 import bpy
 
+from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
 from .cli import commands
 from .operators import (
@@ -51,6 +52,7 @@ _MODULES = (
     panel_properties,
     takes_properties,
     takes_store,
+    face_display,
     attached_parts,
     head,
     facegen,

@@ -11,7 +11,15 @@ from ..core.control_points.select import from_json, to_json
 from ..core.errors import HeadError
 from ..core.landmarks import N_LANDMARKS
 from .frames import flat_in_blender, from_blender
-from .names import COUNT_PROPERTY, EYES_GROUP, KEYS_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
+from .names import (
+    BAKED_KEY_PREFIX,
+    COUNT_PROPERTY,
+    EYES_GROUP,
+    KEYS_PROPERTY,
+    LANDMARKS_PROPERTY,
+    REGION_GROUPS,
+    SELECTION_PROPERTY,
+)
 
 
 def exists(block: bpy.types.ID) -> bool:
@@ -189,6 +197,18 @@ def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> Non
     require_own(mesh)
     mesh[LANDMARKS_PROPERTY] = [int(vertex) for vertex in landmarks]
     mesh[COUNT_PROPERTY] = len(mesh.vertices)
+
+
+def key_names(obj: bpy.types.Object) -> list[str]:
+    """Return the names of the user's shape keys of `obj`: neither the Basis nor those that Facemime made."""
+    keys = obj.data.shape_keys
+    if keys is None:
+        return []
+    return [
+        key.name
+        for key in keys.key_blocks
+        if key != keys.reference_key and not key.name.startswith(BAKED_KEY_PREFIX) and key.slider_min < key.slider_max
+    ]
 
 
 def read_selection(mesh: bpy.types.Mesh) -> GreedySelection | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import bpy
 
 _MAX_BETWEEN = 2
@@ -27,14 +29,73 @@ def linked_image(socket: bpy.types.NodeSocket) -> bpy.types.ShaderNodeTexImage |
 
 
 def show_colour_images() -> None:
-    """Let viewports that show textures display the image of the colour of each material.
+    """Let viewports that show textures display the image of the colour of each material of the file."""
+    _show_images(bpy.data.materials)
 
-    They display the active image node, which after an import may be that of the normals or the emission.
+
+class ShownColours:
+    """The colours of some meshes as viewports show them in Solid shading, until `revert`.
+
+    Parameters
+    ----------
+    meshes : iterable of bpy.types.Mesh
+
+    Attributes
+    ----------
+    kind : {"TEXTURE", "VERTEX", ""}
+        How Solid shading has to colour objects; "" if the meshes have neither images nor colours of vertices.
     """
-    for material in bpy.data.materials:
-        if (shader := principled(material)) is None or material.library is not None:
+
+    def __init__(self, meshes: Iterable[bpy.types.Mesh]) -> None:
+        meshes = list(meshes)
+        materials = dict.fromkeys(material for mesh in meshes for material in mesh.materials if material is not None)
+        self._before = _show_images(materials)
+        textured = any(_colour_node(material) is not None for material in materials)
+        coloured = any(len(mesh.color_attributes) for mesh in meshes)
+        self.kind = "TEXTURE" if textured else "VERTEX" if coloured else ""
+
+    def revert(self) -> None:
+        """Restore the active nodes of the materials, and the alpha of their images."""
+        for name, node, image, alpha in self._before:
+            material, picture = bpy.data.materials.get(name), bpy.data.images.get(image)
+            if material is not None and (found := material.node_tree.nodes.get(node)) is not None:
+                material.node_tree.nodes.active = found
+            if picture is not None:
+                picture.alpha_mode = alpha
+        self._before = []
+
+
+def _show_images(materials: Iterable[bpy.types.Material]) -> list[tuple[str, str, str, str]]:
+    """Make the image of its colour the active one of each material; after an import that may be an image of normals.
+
+    Returns the names of each material that was changed, its active node and its image, and the alpha of the image.
+    """
+    before = []
+    for material in materials:
+        node = _colour_node(material)
+        if node is None or material.library is not None:
             continue
-        if (node := linked_image(shader.inputs["Base Color"])) is not None:
-            material.node_tree.nodes.active = node
-            if node.image is not None and shader.inputs["Alpha"].is_linked:
-                node.image.alpha_mode = "STRAIGHT"  # glTF's importer packs channels, whose alpha Workbench ignores
+        nodes, image = material.node_tree.nodes, node.image
+        active = nodes.active.name if nodes.active is not None else ""
+        before.append((material.name, active, image.name, image.alpha_mode))
+        nodes.active = node
+        if node.outputs["Alpha"].is_linked:
+            image.alpha_mode = "STRAIGHT"  # glTF's importer packs channels, whose alpha Workbench ignores
+    return before
+
+
+def _colour_node(material: bpy.types.Material) -> bpy.types.ShaderNodeTexImage | None:
+    """Return the node with the image of the colour of a material: that of its Principled BSDF, or the first that leads
+    to the output of another shader, as in unlit materials of avatars; None without one.
+    """
+    shader = principled(material)
+    node = None if shader is None else linked_image(shader.inputs["Base Color"])
+    if node is None and material.node_tree is not None:
+        waiting = [one for one in material.node_tree.nodes if one.type == "OUTPUT_MATERIAL" and one.is_active_output]
+        for one in waiting:
+            if one.type == "TEX_IMAGE" and one.image is not None and not one.image.colorspace_settings.is_data:
+                return one
+            waiting += [
+                link.from_node for socket in one.inputs for link in socket.links if link.from_node not in waiting
+            ]
+    return None if node is None or node.image is None else node

@@ -21,7 +21,7 @@ from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
 from .puppet import require_puppet, running
-from .shared import AsksForFile, OnHead, OnMesh, report, require
+from .shared import AsksForFile, OnHead, OnMesh, report, require, subject
 
 
 @with_settings(SelectionSettings)
@@ -34,7 +34,7 @@ class SelectsPoints(OnMesh):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        obj = context.active_object
+        obj = subject(context)
         take, neutral = self.performance(context)
         chosen = read(SelectionSettings, self)
         selection = select_for_take(
@@ -121,7 +121,7 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
     bl_label = "Add Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
-        mesh = context.active_object.data
+        mesh = subject(context).data
         selection = read_selection(mesh)
         if selection is None:
             raise HeadError("All landmarks are control points already. Remove some first, or select from a take.")
@@ -135,7 +135,7 @@ class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
     bl_label = "Remove Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
-        mesh = context.active_object.data
+        mesh = subject(context).data
         write_selection(mesh, drop_by_hand(read_selection(mesh), context.scene.facemime_steps.landmark))
 
 
@@ -162,7 +162,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
             return self.restore(context, {"CANCELLED"})
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}
-        if context.active_object is None or not is_head(context.active_object):
+        if subject(context) is None or not is_head(subject(context)):
             return self.restore(context, {"CANCELLED"})
         return self.restore(context, self.reporting(lambda now: self.pick(now, event), context))
 
@@ -174,7 +174,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         region, view = seen.region, seen.view
         size = (region.width, region.height)
         places = landmark_places(
-            context.active_object, context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size
+            subject(context), context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size
         )
         pixel = (event.mouse_x - region.x, event.mouse_y - region.y)
         landmark = nearest_landmark(places, pixel, NEAR * context.preferences.system.ui_scale)
@@ -198,7 +198,7 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     bl_label = "Use All Landmarks"
 
     def work(self, context: bpy.types.Context) -> None:
-        write_selection(context.active_object.data, None)
+        write_selection(subject(context).data, None)
 
 
 CLASSES = (

@@ -19,19 +19,31 @@ from ..blender.heads.binding import (
     turn_note,
     write_marks,
 )
+from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.eyes import open_eyes
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.lips import open_lips
 from ..blender.media.preview_scene import face_points, look_at_face
-from ..blender.meshes import read_landmarks
+from ..blender.meshes import read_places
 from ..blender.messages import translated
+from ..blender.placement import select_alone
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
 from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
-from .shared import InObjectMode, OnHead, OnMesh, report, require_left_edit_mode
+from .place_points import CheckedBinding
+from .shared import (
+    InObjectMode,
+    OnCharacter,
+    OnHead,
+    OnMesh,
+    chosen_character,
+    report,
+    require_left_edit_mode,
+    subject,
+)
 from .steps import WorksInSteps, in_background
 
 _CHECK_PANEL = "FACEMIME_PT_check"
@@ -47,8 +59,8 @@ def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) ->
         Reports the warnings.
     context : bpy.types.Context
     """
-    findings = check_object(context.active_object)
-    keep_findings(context.window_manager, context.active_object.name, findings)
+    findings = check_object(subject(context))
+    keep_findings(context.window_manager, subject(context).name, findings)
     for finding in findings:
         operator.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
     return bool(findings)
@@ -62,14 +74,14 @@ def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: d
 
 def _turn_to_face(context: bpy.types.Context) -> bool:
     """Turn the view to the face of the active head; return whether it is shown alone, as other objects hid it."""
-    head, seen = context.active_object, viewport_of(context)
+    head, seen = subject(context), viewport_of(context)
     if seen is None:
         return False
     look_at_face(seen.view, head)
     if seen.area != context.area or context.space_data.local_view is not None:
         return False
     own = character_of(head)
-    if not is_hidden_by_others(context, seen, face_points(head)[read_landmarks(head)], own):
+    if not is_hidden_by_others(context, seen, face_points(head)[read_places(head)], own):
         return False
     show_alone(context, own)
     return True
@@ -88,7 +100,7 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        mesh, vertex = context.active_object.data, selected_vertex(context.active_object)
+        mesh, vertex = subject(context).data, selected_vertex(subject(context))
         write_marks(mesh, read_marks(mesh) | {int(self.point): vertex})
 
 
@@ -99,27 +111,27 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     bl_label = "Clear Marks"
 
     def work(self, context: bpy.types.Context) -> None:
-        write_marks(context.active_object.data, {})
+        write_marks(subject(context).data, {})
 
 
-class FACEMIME_OT_bind_keys(InObjectMode, OnMesh, bpy.types.Operator):
+class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
     """Drive the character by its existing shape keys, such as ARKit's or VRM's, without landmarks"""
 
     bl_idname = "facemime.bind_keys"
     bl_label = "Use Its Shape Keys"
 
     def work(self, context: bpy.types.Context) -> None:
-        active, before = context.active_object, placements()
-        head = bind_keys(active)
+        before = placements()
+        head = bind_keys(chosen_character(context))
+        select_alone(context, head)
         _report_turn(self, head, before)
-        active.select_set(False)
-        head.select_set(True)
-        context.view_layer.objects.active = head
+        if not bpy.app.background and context.window is not None:
+            _turn_to_face(context)
         report(self, f"{head.name} is driven by its shape keys alone.")
 
 
-class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.Operator):
-    """Find the 66 landmarks of the active mesh and create its regions; without marks, it may face along any axis"""
+class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.types.Operator):
+    """Find the face of the selected character, and create its regions; without marks, it may face along any axis"""
 
     bl_idname = "facemime.bind_landmarks"
     bl_label = "Find Face"
@@ -129,20 +141,24 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """Search for the face in a thread, and bind what was found."""
-        active, before = context.active_object, placements()
-        head, binding = yield from in_background(search_character(active))
-        if head != active:
-            active.select_set(False)
-            head.select_set(True)
-            context.view_layer.objects.active = head
+        former, before = FormerBinding(context), placements()
+        head, binding = yield from in_background(search_character(chosen_character(context)))
+        select_alone(context, head)
         _report_turn(self, head, before)
-        self._report(context, binding)
+        alone = self.in_window and _turn_to_face(context)
+        self._report(context, binding, alone)
+        if self.in_window:
+            CheckedBinding.former = former
+            CheckedBinding.alone = alone
+            bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")
+        else:
+            context.scene.facemime_steps.show_points = True
 
-    def _report(self, context: bpy.types.Context, binding: Binding) -> None:
+    def _report(self, context: bpy.types.Context, binding: Binding, alone: bool) -> None:
         memory = context.window_manager.facemime
-        memory.unsure = context.active_object.name if binding.wanted else ""
+        memory.unsure = subject(context).name if binding.wanted else ""
         memory.wanted = ",".join(map(str, binding.wanted))
-        if self.in_window and _turn_to_face(context):
+        if alone:
             report(self, "Face found. It is shown alone in Local View, as other objects hide it. Check the points")
         else:
             report(self, "Face found. Check the points")
@@ -156,13 +172,9 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnMesh, bpy.types.O
             )
         for finding in binding.findings:
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
-        if binding.body and not read_bones(context.active_object)[1].head:
+        if binding.body and not read_bones(subject(context))[1].head:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
-        if self.in_window:
-            bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")
-        else:
-            context.scene.facemime_steps.show_points = True
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
@@ -176,7 +188,7 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         if self.number in (60, 64):
             raise HeadError("Landmarks 60 and 64 are not used. Choose another number.")
-        obj = context.active_object
+        obj = subject(context)
         move_landmark(obj, int(from_ibug([self.number])[0]), selected_vertex(obj))
 
 
@@ -192,7 +204,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
         return require_left_edit_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        propose_head_regions(context.active_object)
+        propose_head_regions(subject(context))
 
 
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
@@ -204,7 +216,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         if not report_findings(self, context):
-            report(self, f"{context.active_object.name} is ready to be driven")
+            report(self, f"{subject(context).name} is ready to be driven")
         if not bpy.app.background and context.window is not None:
             bpy.ops.wm.call_panel("INVOKE_DEFAULT", name=_CHECK_PANEL, keep_open=True)
 
@@ -216,7 +228,7 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     bl_label = "Open Lips"
 
     def work(self, context: bpy.types.Context) -> None:
-        count = open_lips(context.active_object)
+        count = open_lips(subject(context))
         report(self, f"{count} edges cut between the lips, and a dark pocket added behind them")
         report_findings(self, context)
 
@@ -228,7 +240,7 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     bl_label = "Open Eyes"
 
     def work(self, context: bpy.types.Context) -> None:
-        count = open_eyes(context.active_object)
+        count = open_eyes(subject(context))
         report(
             self,
             f"Cut along the lids of {count} eyes. If the cut misses the lids, undo it, mark the corners of the eyes, "

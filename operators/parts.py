@@ -22,7 +22,7 @@ from ..core.heads.parts import PART_NAMES, Part
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store
-from .shared import InObjectMode, OnHead, ReportsErrors, report
+from .shared import InObjectMode, OnHead, ReportsErrors, report, subject
 from .steps import WorksInSteps, in_background
 
 _DESCRIPTIONS = {
@@ -90,7 +90,7 @@ class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
     part: EnumProperty(name="Part", items=_ITEMS[1:])
 
     def work(self, context: bpy.types.Context) -> None:
-        head = context.active_object
+        head = subject(context)
         others = [obj for obj in context.selected_objects if obj != head and obj.type == "MESH" and not is_head(obj)]
         if not others:
             raise HeadError("No other mesh is selected. Select the parts, then the head.")
@@ -124,14 +124,14 @@ class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
     bl_label = "Find Parts"
 
     def work(self, context: bpy.types.Context) -> None:
-        head = context.active_object
+        head = subject(context)
         forget_parts(head)
         sort_again(head)
         propose_head_regions(head)
 
 
 def _items_of_bones(operator: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
-    head = None if context is None else context.active_object
+    head = None if context is None else subject(context)
     armature = None if head is None else read_bones(head)[0] or armature_of(head)
     names = [] if armature is None else [bone.name for bone in armature.pose.bones]
     _bone_items[:] = [(_NO_BONE, "None", "No bone"), *((name, name, "") for name in names)]
@@ -156,7 +156,7 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         return {"RUNNING_MODAL"}
 
     def work(self, context: bpy.types.Context) -> None:
-        head = context.active_object
+        head = subject(context)
         stored, bones = read_bones(head)
         armature = stored or armature_of(head)
         if armature is None:
@@ -176,7 +176,7 @@ class FACEMIME_OT_mute_bone(OnHead, bpy.types.Operator):
     target: EnumProperty(name="Target", items=[(key, label, "") for key, label in BONES.items()])
 
     def work(self, context: bpy.types.Context) -> None:
-        armature, bones = read_bones(context.active_object)
+        armature, bones = read_bones(subject(context))
         bone = getattr(bones, self.target)
         if armature is None or not bone:
             raise HeadError("This head has no such bone. Set one first.")
@@ -208,7 +208,7 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
         if (session := Session.running()) is not None:
             session.close()
         takes = self._takes(context) if self.refine else []
-        made = yield from in_background(making_expression_keys(context.active_object, KEY_SETS[self.keys], takes))
+        made = yield from in_background(making_expression_keys(subject(context), KEY_SETS[self.keys], takes))
         for finding in made.findings:
             report(self, finding)
         report(self, made.summary())

@@ -1,11 +1,16 @@
 """Operators that place landmarks and marked points by clicks on the head."""
 
+from collections.abc import Callable
+from functools import partial
+
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.contexts import in_a_window
+from ..blender.heads.binding_undo import FormerBinding
+from ..blender.heads.face_display import FaceDisplay
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.heads.placing import Placing, marks_to_ask, skin_under
 from ..blender.viewports import Viewport, redraw, viewport_under
@@ -14,7 +19,7 @@ from ..core.control_points.select import parse_landmarks
 from ..core.errors import HeadError
 from ..core.landmarks import IBUG68_INDICES
 from ..sessions.session import Session
-from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode
+from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, subject
 
 _ENTER = {"RET", "NUMPAD_ENTER"}
 
@@ -25,6 +30,26 @@ def placing_on(obj: bpy.types.Object | None) -> Placing | None:
     return placing if placing is not None and obj is not None and placing.obj == obj else None
 
 
+class CheckedBinding:
+    """The binding before the one that the next placing checks, and whether it is shown alone in Local View."""
+
+    former: FormerBinding | None = None
+    alone = False
+
+    @classmethod
+    def taking_back(cls, context: bpy.types.Context) -> Callable[[], None] | None:
+        """Return a function that takes the new binding back, once; None if the placing checks an older one."""
+        former, cls.former = cls.former, None
+        return None if former is None else partial(_take_back, former, cls.alone)
+
+
+def _take_back(former: FormerBinding, alone: bool) -> None:
+    context = bpy.context
+    former.restore(context)
+    if alone and context.space_data is not None and context.space_data.local_view is not None:
+        bpy.ops.view3d.localview(frame_selected=False)
+
+
 class PlacesPoints(ReportsErrors):
     """Mixin: a modal operator that places points on the active mesh until Enter or Esc; the view can be turned.
 
@@ -32,6 +57,7 @@ class PlacesPoints(ReportsErrors):
     """
 
     _placing: Placing | None = None
+    _display: FaceDisplay | None = None
     _showed = False
 
     @classmethod
@@ -59,7 +85,8 @@ class PlacesPoints(ReportsErrors):
         """Wait for clicks."""
         if bpy.app.background or context.window is None:
             raise HeadError("There is no window to click in. Use Set Landmark or Mark Point in Edit Mode instead.")
-        self._placing = Placing.current = self.begin(context.active_object)
+        self._placing = Placing.current = self.begin(subject(context))
+        self._display = FaceDisplay([self._placing.obj], bones=True)
         steps = context.scene.facemime_steps
         self._showed, steps.show_points = steps.show_points, True
         context.workspace.status_text_set(self.hint())
@@ -72,11 +99,11 @@ class PlacesPoints(ReportsErrors):
         """Handle an event."""
         if not self._goes_on(context):
             self.cancel(context)
-            return {"CANCELLED" if self._placing.discarded else "FINISHED", "PASS_THROUGH"}
+            return {"FINISHED" if self._placing.changed else "CANCELLED", "PASS_THROUGH"}
         if event.type == "ESC" and event.value == "PRESS":
             self._placing.discard()
             self.cancel(context)
-            return {"CANCELLED"}
+            return {"FINISHED" if self._placing.changed else "CANCELLED"}
         if event.type in _ENTER and event.value == "PRESS":
             return self.end(context)
         return self.handle(context, event)
@@ -93,13 +120,15 @@ class PlacesPoints(ReportsErrors):
 
     def _goes_on(self, context: bpy.types.Context) -> bool:
         placing = self._placing
-        there = Placing.current is placing and placing.obj is not None and context.active_object == placing.obj
+        there = Placing.current is placing and placing.obj is not None and subject(context) == placing.obj
         return there and context.mode == "OBJECT" and Session.running() is None
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Restore the status bar and the display of points."""
         if Placing.current is self._placing:
             Placing.current = None
+        if self._display is not None:
+            self._display.close()
         steps = context.scene.facemime_steps
         steps.landmark, steps.show_points = -1, self._showed
         if context.workspace is not None:
@@ -110,7 +139,7 @@ class PlacesPoints(ReportsErrors):
 
 def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> int | None:
     pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
-    return skin_under(context.active_object, context.evaluated_depsgraph_get(), seen, pixel)
+    return skin_under(subject(context), context.evaluated_depsgraph_get(), seen, pixel)
 
 
 class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
@@ -120,7 +149,7 @@ class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
     bl_label = "Adjust Landmarks"
 
     def begin(self, obj: bpy.types.Object) -> Placing:
-        return Placing(obj)
+        return Placing(obj, take_back=CheckedBinding.taking_back(bpy.context))
 
     def hint(self) -> str:
         return _("Drag the points to their places; Enter to accept, Esc to discard")
@@ -144,7 +173,7 @@ class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
 
     def _hover(self, context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> None:
         size, view = (seen.region.width, seen.region.height), np.array(seen.view.perspective_matrix)
-        places = landmark_places(context.active_object, context.evaluated_depsgraph_get(), view, size)
+        places = landmark_places(subject(context), context.evaluated_depsgraph_get(), view, size)
         pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
         landmark = nearest_landmark(places, pixel, NEAR / 2 * context.preferences.system.ui_scale)
         if landmark != context.scene.facemime_steps.landmark:
@@ -207,7 +236,7 @@ class EndsPlacing(ReportsErrors):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require that points are being placed."""
-        return placing_on(context.active_object) is not None
+        return placing_on(subject(context)) is not None
 
     def end(self, placing: Placing) -> None:
         """Keep or discard the points."""

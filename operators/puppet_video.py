@@ -5,7 +5,6 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.animation.puppet import check_heads, puppet_heads
-from ..blender.meshes import can_be_driven
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
@@ -13,7 +12,7 @@ from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
 from ..settings import takes_store
 from ..settings.values import face_of, pose_targets, puppet_settings
-from .shared import AsksForFile, report, reporting_range, require, require_object_mode
+from .shared import AsksForFile, heads_in, report, reporting_range, require_heads, require_object_mode
 from .steps import ShowsProgress
 
 _TICK = 0.1
@@ -33,12 +32,8 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh in Object Mode."""
-        obj = context.active_object
-        mesh = obj is not None and obj.type == "MESH"
-        return require_object_mode(cls, context) and require(
-            cls, mesh, "Select a head mesh, or add one with Add > Mesh > Facemime Head"
-        )
+        """Require a head in Object Mode."""
+        return require_object_mode(cls, context) and require_heads(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Ask for a file, unless the button provides one."""
@@ -46,14 +41,14 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Track in the background, then bake; without a window, wait for the tracking."""
-        path, heads = self.path, _heads(context, context.active_object)
+        path, heads = self.path, list(heads_in(context))
         scene = context.scene.facemime
         settings = puppet_settings(scene)
         check_heads(heads, settings.bake, pose_targets(scene.posing, heads[0]))
         if path.suffix == SUFFIX:
             return self.bake(context, heads[0], load_take(path))
         self._session = TrackingSession(path, face_of(scene.source), settings.tracking)
-        self._head = context.active_object.name
+        self._head = heads[0].name
         if bpy.app.background:
             return self.finish(context)
         return self.start_ticking(context, _TICK)
@@ -125,8 +120,9 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
 
 
 def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[bpy.types.Object | None]:
-    """Return `first` and all other selected heads."""
-    return [first, *(obj for obj in context.selected_objects if obj != first and can_be_driven(obj))]
+    """Return `first` and all other heads that are selected now."""
+    others = [head for head in heads_in(context) if head != first] if context.selected_objects else []
+    return [first, *others]
 
 
 class FACEMIME_OT_stop_tracking(bpy.types.Operator):

@@ -8,7 +8,7 @@ from pathlib import Path
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..blender.characters import head_of
+from ..blender.heads.family import character_in, heads_of, is_character
 from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import displayable
 from ..core.capture import check_readable, require_utf8_name
@@ -121,16 +121,29 @@ def require_no_session(operator: type[bpy.types.Operator]) -> bool:
 
 
 def heads_in(context: bpy.types.Context) -> list[bpy.types.Object]:
-    """Return the heads to be driven: the active one, then the other selected ones; otherwise the only head there is.
-
-    A selected part stands for its head.
+    """Return the heads to be driven: those to which the active object and then the other selected ones lead; otherwise
+    the only head there is, unless a character without one is selected.
     """
-    chosen = [head_of(obj) for obj in (context.active_object, *context.selected_objects) if obj is not None]
-    heads = list(dict.fromkeys(obj for obj in chosen if can_be_driven(obj)))
-    if heads:
+    chosen = [obj for obj in (context.active_object, *context.selected_objects) if obj is not None]
+    if heads := heads_of(chosen, context.view_layer.objects):
         return heads
     there = [obj for obj in context.view_layer.objects if can_be_driven(obj) and obj.visible_get()]
-    return there if len(there) == 1 else []
+    return there if len(there) == 1 and not any(map(is_character, context.selected_objects)) else []
+
+
+def subject(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Return the object that panels and operators on a head are about.
+
+    That is the head to which the active object leads, or the active mesh; otherwise the only head there is.
+    """
+    obj = context.active_object
+    if obj is not None and obj.type == "MESH" and (context.mode != "OBJECT" or can_be_driven(obj)):
+        return obj
+    if obj is not None and (heads := heads_of([obj], context.view_layer.objects)):
+        return heads[0]
+    if obj is not None and obj.type == "MESH":
+        return obj
+    return next(iter(heads_in(context)), obj)
 
 
 def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
@@ -189,13 +202,32 @@ class InObjectMode:
 
 
 class OnMesh(ReportsErrors):
-    """Mixin: requires an active mesh."""
+    """Mixin: requires an active mesh, or an object that leads to a head: see `subject`."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh."""
-        obj = context.active_object
+        """Require an active mesh, or an object that leads to a head."""
+        obj = subject(context)
         return require(cls, obj is not None and obj.type == "MESH", "Select a head mesh")
+
+
+def chosen_character(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Return the head to which the active object leads, an object of the character that is meant, or otherwise the
+    active mesh, which the search refuses with its reason; None without any.
+    """
+    active = context.active_object
+    heads = [] if active is None else heads_of([active], context.view_layer.objects)
+    mesh = active if active is not None and active.type == "MESH" else None
+    return heads[0] if heads else character_in(context) or mesh
+
+
+class OnCharacter(ReportsErrors):
+    """Mixin: requires a character, of which any object may be selected: see `chosen_character`."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a character."""
+        return require(cls, chosen_character(context) is not None, "Select a character, or any object of it")
 
 
 class OnHead(OnMesh):
@@ -212,6 +244,6 @@ class OnHead(OnMesh):
         bound = is_head if cls.needs_landmarks else can_be_driven
         return (
             super().poll(context)
-            and require(cls, bound(context.active_object), "Find the face first, in the Head panel")
+            and require(cls, bound(subject(context)), "Find the face first, in the Head panel")
             and require_left_edit_mode(cls, context)
         )

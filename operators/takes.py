@@ -29,6 +29,7 @@ from .shared import (
     require,
     require_heads,
     require_no_session,
+    subject,
 )
 from .steps import WorksInSteps
 
@@ -207,7 +208,7 @@ class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """Sample a frame at each step, and add the take to the list."""
-        head = context.active_object
+        head = subject(context)
         sampling = Sampling(context.scene, head, head.name)
         with closing(iter(sampling)) as frames:
             for done in frames:

@@ -11,7 +11,8 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..blender.characters import head_of
+from ..blender.heads.family import face_candidates, heads_of, leads_to_face
+from ..blender.placement import select_alone
 from ..blender.registering import watch
 from ..core.control_points.settings import SelectionSettings
 from ..core.heads.checks import Finding
@@ -51,22 +52,19 @@ class FacemimeLandmark(bpy.types.PropertyGroup):
     """An item of the list of landmarks, in their order; its name is the iBUG number."""
 
 
-def _is_mesh(manager: bpy.types.WindowManager, obj: bpy.types.Object) -> bool:
-    return obj.type == "MESH"
+def _is_part(manager: bpy.types.WindowManager, obj: bpy.types.Object) -> bool:
+    return leads_to_face(obj) or bool(heads_of([obj]))
 
 
 def _make_active(manager: bpy.types.WindowManager, context: bpy.types.Context) -> None:
-    """Select the head of the picked object; nothing is kept, as a stored pointer would keep a deleted head alive."""
+    """Select the face of the picked object; nothing is kept, as a stored pointer would keep a deleted head alive."""
     picked = manager.facemime_picked
     if picked is None:
         return
     manager.facemime_picked = None
-    head = head_of(picked)
+    head = next(iter([*heads_of([picked]), *face_candidates(picked)]), picked)
     if context.mode == "OBJECT" and head.name in context.view_layer.objects:
-        for obj in context.selected_objects:
-            obj.select_set(False)
-        head.select_set(True)
-        context.view_layer.objects.active = head
+        select_alone(context, head)
 
 
 class FacemimeMemory(bpy.types.PropertyGroup):
@@ -124,7 +122,7 @@ def register() -> None:
         name="Head",
         description="Head to drive; choose any part of a character",
         type=bpy.types.Object,
-        poll=_is_mesh,
+        poll=_is_part,
         update=_make_active,
     )
     watch(list_landmarks, 0.0)

@@ -17,6 +17,7 @@ from ..core.control_points.table import PointRow, draw_curve, point_rows
 from ..core.errors import FacemimeError
 from ..core.heads.regions import REGIONS
 from ..core.landmarks import IBUG68_INDICES
+from ..operators.shared import subject
 from .sidebar import OnHead, is_narrow, labels, place, side_by_side, split_labels
 
 _CURVE = "curve"
@@ -44,9 +45,9 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
         """Draw one landmark."""
-        if context.active_object is None or not is_head(context.active_object):
+        if subject(context) is None or not is_head(subject(context)):
             return
-        row = shown_rows(context.active_object)[index]
+        row = shown_rows(subject(context))[index]
         layout.active = bool(row.regions)
         names = ", ".join(_(REGIONS[r].name.capitalize()) for r in row.regions)
         number = str(IBUG68_INDICES[index])
@@ -61,7 +62,7 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
 
     def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
         """Sort the control points by their order of selection, before the other landmarks if these are listed."""
-        rows = shown_rows(context.active_object)
+        rows = shown_rows(subject(context))
         all_listed = not context.scene.facemime_steps.only_chosen
         flags = [self.bitflag_filter_item if row.regions or all_listed else 0 for row in rows]
         wanted = sorted(rows, key=lambda row: (not row.regions, row.order or len(rows), row.landmark))
@@ -77,7 +78,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
+        layout, obj, steps = self.layout, subject(context), context.scene.facemime_steps
         _draw_selection(layout, steps)
         row = side_by_side(layout, context)
         row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")

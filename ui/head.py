@@ -3,9 +3,10 @@
 import bpy
 
 from ..blender.heads.binding import missing_parts, read_marks
-from ..blender.heads.keyed import has_known_names
+from ..blender.heads.family import character_in, face_candidates, known_keys
 from ..blender.meshes import can_be_driven, driven_by_keys
 from ..blender.messages import interface as _
+from ..operators.shared import subject
 from .sidebar import Sidebar, draw_findings, labels, place
 
 
@@ -17,9 +18,9 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, obj = self.layout, context.active_object
-        if obj is None or obj.type != "MESH":
-            layout.label(text=_("Select a mesh"), translate=False)
+        layout, obj = self.layout, _subject(context)
+        if obj is None:
+            labels(layout, context, "Select a character, or add a head")
             return
         missing = missing_parts(obj)
         if not missing:
@@ -30,8 +31,17 @@ class FACEMIME_PT_head(Sidebar, bpy.types.Panel):
         for problem, remedy in missing:
             labels(layout, context, problem, "ERROR")
             layout.operator(remedy)
-        if missing and has_known_names(obj):
+        if missing and known_keys(obj) is not None:
             layout.operator("facemime.bind_keys", icon="SHAPEKEY_DATA")
+
+
+def _subject(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Return the head or mesh that the panels are about, or the likely face of the character that is meant."""
+    obj = subject(context)
+    if obj is not None and obj.type == "MESH":
+        return obj
+    character = character_in(context)
+    return None if character is None else face_candidates(character)[0]
 
 
 class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
@@ -44,9 +54,9 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout = self.layout
-        obj = context.active_object
-        if obj is None or obj.type != "MESH":
-            layout.label(text=_("Select a mesh"), translate=False)
+        obj = _subject(context)
+        if obj is None:
+            labels(layout, context, "Select a character, or add a head")
             return
         marks = read_marks(obj.data)
         column = layout.column(align=True)

@@ -9,6 +9,7 @@ from ..blender.messages import CONTEXT
 from ..blender.names import HEAD_PROPERTY, PART_OBJECTS, PART_PROPERTY
 from ..core.heads.parts import PART_NAMES, Part
 from ..operators.parts import BONES
+from ..operators.shared import subject
 from .sidebar import Sidebar, draw_findings, labels
 
 _OWN_PARTS = {"tongue": "Tongue", "lashes": "Lashes", "hair": "Hair"}
@@ -27,12 +28,12 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active head, or one of its parts."""
-        obj = context.active_object
+        obj = subject(context)
         return obj is not None and obj.type == "MESH" and (can_be_driven(obj) or HEAD_PROPERTY in obj)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, obj = self.layout, context.active_object
+        layout, obj = self.layout, subject(context)
         if context.mode == "EDIT_MESH":
             layout.operator_menu_enum("facemime.set_part", "part", text="Set Part of Selected Vertices")
             return
@@ -60,7 +61,7 @@ class FACEMIME_PT_check(bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the popup."""
-        layout, head = self.layout, context.active_object
+        layout, head = self.layout, subject(context)
         if head is None or not is_head(head):
             return
         layout.label(text=head.name, icon="USER", translate=False)

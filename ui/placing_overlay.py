@@ -18,6 +18,7 @@ from ..core.heads.built_in import load_head
 from ..core.landmarks import EDGES, from_ibug
 from ..operators.place_points import placing_on
 from ..operators.preview_place import MARGIN
+from ..operators.shared import subject
 from .drawing import WHITE, dot, draw_lines, draw_text, draw_triangles
 from .point_overlay import rimmed
 
@@ -41,7 +42,7 @@ def _outline() -> NDArray[np.float64]:
 
 def _draw() -> None:
     context = bpy.context
-    placing = placing_on(context.active_object)
+    placing = placing_on(subject(context))
     if placing is None or not placing.asked or context.region is None:
         return
     scale = context.preferences.system.ui_scale

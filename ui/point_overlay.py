@@ -10,6 +10,7 @@ from ..blender.heads.landmark_places import landmark_places
 from ..blender.meshes import is_head
 from ..core.control_points.table import REGION_COLOURS, PointRow
 from ..core.errors import FacemimeError
+from ..operators.shared import subject
 from .control_points import shown_rows
 from .drawing import dot, draw_triangles
 
@@ -19,7 +20,7 @@ _GREY, _SELECTED_COLOUR, _RIM_COLOUR = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0), (0.05, 
 
 def _draw() -> None:
     context = bpy.context
-    obj, steps = context.active_object, context.scene.facemime_steps
+    obj, steps = subject(context), context.scene.facemime_steps
     if not steps.show_points or obj is None or not is_head(obj) or not obj.visible_get():
         return
     if not context.space_data.overlay.show_overlays or context.mode == "EDIT_MESH":

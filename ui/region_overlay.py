@@ -17,6 +17,7 @@ from ..blender.meshes import is_head, read_regions
 from ..core.control_points.table import region_colours
 from ..core.errors import HeadError
 from ..operators.puppet import running
+from ..operators.shared import subject
 
 _TOWARDS_VIEWER = 0.002
 """Distance of the overlay from the skin, relative to the size of the head."""
@@ -38,7 +39,7 @@ class _Cache:
 
 def shown_regions(context: bpy.types.Context) -> bpy.types.Object | None:
     """Return the head whose regions are to be drawn, or None."""
-    obj = context.active_object
+    obj = subject(context)
     if not context.scene.facemime_steps.show_regions or obj is None or not is_head(obj) or not obj.visible_get():
         return None
     if context.mode in ("PAINT_WEIGHT", "EDIT_MESH"):

@@ -3,6 +3,7 @@
 import bpy
 
 from ..blender.names import REGION_GROUPS
+from ..operators.shared import subject
 from .sidebar import OnHead, draw_findings, place, side_by_side
 
 _BUTTONS = (("UPPER", "Upper"), ("MIDDLE", "Middle"), ("LOWER", "Lower"))
@@ -16,7 +17,7 @@ class FACEMIME_PT_regions(OnHead, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
-        layout, obj, steps = self.layout, context.active_object, context.scene.facemime_steps
+        layout, obj, steps = self.layout, subject(context), context.scene.facemime_steps
         row = side_by_side(layout, context)
         active = obj.vertex_groups.active if context.mode == "PAINT_WEIGHT" else None
         for (region, text), name in zip(_BUTTONS, REGION_GROUPS, strict=True):

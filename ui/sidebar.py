@@ -5,6 +5,7 @@ import bpy
 
 from ..blender.meshes import is_head
 from ..blender.messages import interface, translated
+from ..operators.shared import subject
 from .documentation import draw_link
 from .drawing import wrap
 
@@ -48,7 +49,7 @@ class OnHead(Sidebar):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active head."""
-        return context.active_object is not None and is_head(context.active_object)
+        return subject(context) is not None and is_head(subject(context))
 
 
 def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
@@ -79,7 +80,7 @@ def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     context : bpy.types.Context
     """
     memory = context.window_manager.facemime
-    if memory.checked != context.active_object.name:
+    if memory.checked != subject(context).name:
         return
     if not memory.findings:
         labels(layout, context, "Ready", "CHECKMARK")

@@ -2,16 +2,16 @@
 
 import bpy
 
+from ..blender.heads.family import character_in, face_candidates, known_keys
 from ..blender.messages import interface as _
-from ..blender.messages import translated
 from ..operators.place_points import placing_on
 from ..operators.puppet import running
-from ..operators.shared import heads_in
+from ..operators.shared import heads_in, subject
 from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..sessions.tracking import TrackingSession
 from ..settings.values import FILE_OF
-from .sidebar import Sidebar, place
+from .sidebar import Sidebar, is_narrow, labels, place
 from .status import draw_progress, summary
 
 
@@ -25,23 +25,23 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the box."""
         session, heads = running(), heads_in(context)
+        character = None if heads else character_in(context)
         layout = self.layout.box()
         column = layout.column(align=True)
         row = column.row(align=True)
-        name = heads[0].name if len(heads) == 1 else _("{count} heads").format(count=len(heads))
         row.prop(
             context.window_manager,
             "facemime_picked",
             text="",
             icon="MONKEY",
-            placeholder=name if heads else _("No head yet"),
+            placeholder=_name(heads, character),
             translate=False,
         )
         row.menu("FACEMIME_MT_add", text="", icon="ADD")
         column.prop(context.scene.facemime.source, "kind", text="")
         row = layout.row(align=True)
         row.scale_y = 1.6
-        if placing_on(context.active_object) is not None:
+        if placing_on(subject(context)) is not None:
             row.operator("facemime.accept_points", icon="CHECKMARK", depress=True)
             row.operator("facemime.discard_points", icon="LOOP_BACK")
         elif session is not None:
@@ -54,11 +54,33 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
         elif heads:
             row.operator("facemime.puppet", text="Start", icon="PLAY")
             row.operator("facemime.record_take", text="Record", icon="REC")
+        elif character is not None:
+            _draw_binding(row, context, character)
         else:
             row.operator("facemime.add_head", text="Add Head", icon="MONKEY")
             row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
-        text, icon = _next_step(context, heads) if session is None else summary(session)
-        layout.label(text=translated(text), icon=icon, translate=False)
+        text, icon = _next_step(context, heads, character) if session is None else summary(session)
+        labels(layout, context, text, icon)
+
+
+def _name(heads: list[bpy.types.Object], character: bpy.types.Object | None) -> str:
+    """Return the name of the head or character, or their number."""
+    if len(heads) > 1:
+        return _("{count} heads").format(count=len(heads))
+    if heads:
+        return heads[0].name
+    return _("No head yet") if character is None else face_candidates(character)[0].name
+
+
+def _draw_binding(row: bpy.types.UILayout, context: bpy.types.Context, character: bpy.types.Object) -> None:
+    """Draw the ways to drive a character: by the known shape keys that it has, or by its face."""
+    if (table := known_keys(character)) is None:
+        row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
+        row.operator("facemime.mark_face", text="", icon="PIVOT_CURSOR")
+        return
+    text = _("Use Its {count} {name} Keys").format(count=len(table.keys), name=table.short_name)
+    row.operator("facemime.bind_keys", text=text, icon="SHAPEKEY_DATA", translate=False)
+    row.operator("facemime.bind_landmarks", text="" if is_narrow(context) else "Find Face", icon="VIEWZOOM")
 
 
 def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
@@ -71,16 +93,21 @@ def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
     )
 
 
-def _next_step(context: bpy.types.Context, heads: list[bpy.types.Object]) -> tuple[str, str]:
+def _next_step(
+    context: bpy.types.Context, heads: list[bpy.types.Object], character: bpy.types.Object | None
+) -> tuple[str, str]:
     """Return the next step, and an icon."""
     if context.mode == "EDIT_MESH":
         return _("Leave Edit Mode first"), "INFO"
-    if (placing := placing_on(context.active_object)) is not None:
+    if (placing := placing_on(subject(context))) is not None:
         return _("Click the point that is shown") if placing.asked else _("Drag misplaced points"), "INFO"
     if TrackingSession.running() is not None:
         return _("Tracking the whole video"), "TIME"
     if TakeShow.running() is not None:
         return _("A take is shown"), "PLAY"
+    if character is not None:
+        known = known_keys(character) is not None
+        return _("It can be driven at once, by its shape keys") if known else _("Find its face first"), "INFO"
     if not heads:
         return _("Add a head, or select a character"), "INFO"
     source = context.scene.facemime.source

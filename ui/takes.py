@@ -8,6 +8,7 @@ from ..blender.messages import interface as _
 from ..core.bake.settings import AUTOMATIC
 from ..core.timecode import timecode
 from ..operators.puppet import running
+from ..operators.shared import subject
 from ..sessions.show import TakeShow
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
 
@@ -128,7 +129,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column.prop(bake, "clean")
         layout.prop(bake, "nla")
         layout.operator("facemime.bake_take", icon="ACTION")
-        obj = context.active_object
+        obj = subject(context)
         if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):
             labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
             layout.operator("facemime.mute_others", icon="MUTE_IPO_ON")
@@ -159,7 +160,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         for operator, icon in buttons.items():
             row.operator(f"facemime.{operator}", text="", icon=icon)
         if 0 <= bake.row < len(bake.rows):
-            obj, line = context.active_object, bake.rows[bake.row]
+            obj, line = subject(context), bake.rows[bake.row]
             column = layout.column(align=True)
             split_labels(column)
             column.prop(line, "source")

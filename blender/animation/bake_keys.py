@@ -14,7 +14,7 @@ from ...core.bake.key_map import ESSENTIAL, best_preset
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, members_of
-from ..meshes import group_weights
+from ..meshes import group_weights, key_names
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 
 
@@ -46,18 +46,6 @@ class MeshKeys:
         """Return only the keys in `names`, in that order."""
         rows = [self.names.index(name) for name in names]
         return MeshKeys(tuple(names), self.offsets[rows], self.lower[rows], self.upper[rows])
-
-
-def key_names(obj: bpy.types.Object) -> list[str]:
-    """Return the names of the user's shape keys of `obj`: neither the Basis nor those that Facemime made."""
-    keys = obj.data.shape_keys
-    if keys is None:
-        return []
-    return [
-        key.name
-        for key in keys.key_blocks
-        if key != keys.reference_key and not key.name.startswith(BAKED_KEY_PREFIX) and key.slider_min < key.slider_max
-    ]
 
 
 def moving_key_names(members: Sequence[Member]) -> list[str]:

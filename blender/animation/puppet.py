@@ -24,7 +24,7 @@ from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
 from ..actions import check_curves
 from ..characters import members_of, objects_of
-from ..meshes import driven_by_keys, mesh_of
+from ..meshes import driven_by_keys, key_names, mesh_of
 from ..rigs import read_rig
 from ..timeline import frames_of
 from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked, set_range
@@ -34,7 +34,6 @@ from .bake_keys import (
     bake_new_keys,
     bake_values,
     has_known_set,
-    key_names,
     moving_key_names,
     read_keys,
     value_path,

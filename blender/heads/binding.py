@@ -20,12 +20,13 @@ from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
 from ...core.landmarks import from_ibug
 from ..actions import animated_paths
-from ..characters import head_of, part_mesh, read_kinds
+from ..characters import part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
     can_be_driven,
     driven_by_keys,
     eye_vertices,
+    is_head,
     mesh_of,
     read_landmarks,
     read_regions,
@@ -37,14 +38,13 @@ from ..meshes import (
 from ..names import (
     COUNT_PROPERTY,
     KEYS_PROPERTY,
-    LANDMARKS_PROPERTY,
     MARKS_PROPERTY,
     PART_PROPERTY,
     REGION_GROUPS,
     SELECTION_PROPERTY,
 )
 from ..work import Task, Work, do_at_once
-from .family import face_candidates
+from .family import face_candidates, family_of, heads_of, require_character
 from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
 
 _MAX_CANDIDATES = 3
@@ -75,8 +75,8 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     Parameters
     ----------
     obj : bpy.types.Object or None
-        Any mesh of the character. One with marked points or landmarks, or the head of which it is a known part, is
-        bound itself.
+        Any object of the character. A mesh with marked points, or the head that is bound already, is taken; otherwise
+        the most likely mesh.
 
     Returns
     -------
@@ -89,14 +89,16 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     HeadError
         As `search_head`, of the most likely mesh.
     """
-    mesh_of(obj)
-    obj = head_of(obj)
-    mesh = obj.data
+    given = obj = require_character(obj)
+    if len(bound := heads_of([obj])) == 1:
+        obj = bound[0]
     if driven_by_keys(obj):
         forget_parts(obj)
-        del mesh[KEYS_PROPERTY]
-    if read_marks(mesh) or LANDMARKS_PROPERTY in mesh:
-        return obj, (yield from search_head(obj))
+        del obj.data[KEYS_PROPERTY]
+    family = [member for member in (given, *family_of(obj)) if member.type == "MESH"]
+    known = [member for member in family if read_marks(member.data)] or [member for member in family if is_head(member)]
+    if known:
+        return known[0], (yield from search_head(known[0]))
     failure: HeadError | None = None
     for candidate in face_candidates(obj)[:_MAX_CANDIDATES]:
         try:

@@ -1,23 +1,34 @@
-"""The meshes of a character, and which of them may have its face."""
+"""The meshes of a character, which of them may have its face, and the character that the user means.
+
+A user may have selected any object of a character: importers leave the armature active and everything selected, and a
+click in the viewport hits an eye or the hair. Every way of choosing a character leads here.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
 
 import bpy
 import numpy as np
 from mathutils import Vector
 
 from ...core.arrays import FloatArray
-from ...core.bake.key_map import best_preset
-from ...core.heads.sorting import named_part, names_body, names_skin
-from ..characters import objects_of, rest_matrix
-from ..meshes import is_head
+from ...core.bake.key_map import KeyMap, best_preset
+from ...core.errors import HeadError
+from ...core.heads.bones import find_bones
+from ...core.heads.part_names import named_part, names_body, names_skin
+from ...core.landmarks import N_LANDMARKS
+from ..characters import head_of, objects_of, rest_matrix
+from ..meshes import can_be_driven, is_head, key_names
 from ..names import PART_PROPERTY
 
 
 def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the meshes of a character, with `obj` first: those of its armature, its root or its collection.
+    """Return the meshes of a character, with `obj` first if it is one: those of its armature, root or collection.
 
-    In a collection, only meshes named after a part of a face count, as it may hold the entire scene.
+    In a collection, only meshes named after a part of a face count, as it may hold the entire scene. Meshes below the
+    same root that another armature deforms belong to another character.
     """
     armature = armature_of(obj)
     root = _root_of(obj)
@@ -25,27 +36,170 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     for other in bpy.context.scene.objects:
         if other == obj or other.type != "MESH" or other.get(PART_PROPERTY) is not None or is_head(other):
             continue
-        same = armature is not None and armature_of(other) == armature
-        if same or (root != obj and _root_of(other) == root) or _root_of(other) == obj or _is_beside(other, obj):
+        theirs = armature_of(other)
+        same = armature is not None and theirs == armature
+        below = _root_of(other) == root and (armature is None or theirs is None)
+        if same or below or _is_beside(other, obj):
             found.append(other)
-    return [obj, *sorted(found, key=lambda other: other.name)]
+    return [*([obj] if obj.type == "MESH" else []), *sorted(found, key=lambda other: other.name)]
 
 
 def face_candidates(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the meshes of the character of `obj` that may have the skin of its face, the most likely first."""
+    """Return the meshes of the character of `obj` that may have the skin of its face, the most likely first.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        Any object of the character: a mesh, its armature, an empty above.
+    """
     family = family_of(obj)
     scores = {other: _face_score(other) + 0.5 * (other == obj) for other in family}
-    return sorted((other for other in family if scores[other] > 0.0), key=lambda other: -scores[other]) or [obj]
+    likely = sorted((other for other in family if scores[other] > 0.0), key=lambda other: -scores[other])
+    return likely or ([obj] if obj.type == "MESH" else family[:1])
+
+
+def known_keys(obj: bpy.types.Object) -> KeyMap | None:
+    """Return the mapping to the known set of shape keys with most keys that a mesh of the character of `obj` has, by
+    their names, which is fast enough for drawing a panel; None if none has such a set.
+    """
+    found = [table for member in family_of(obj) if (table := preset_of(member)) is not None]
+    return max(found, key=lambda table: len(table.keys), default=None)
+
+
+def preset_of(obj: bpy.types.Object) -> KeyMap | None:
+    """Return the mapping to the known set of shape keys that a mesh has, by their names."""
+    return _preset(tuple(key_names(obj)))
+
+
+@lru_cache(maxsize=64)
+def _preset(names: tuple[str, ...]) -> KeyMap | None:
+    return best_preset(names)
+
+
+def heads_of(
+    objects: Iterable[bpy.types.Object], among: Iterable[bpy.types.Object] | None = None
+) -> list[bpy.types.Object]:
+    """Return the heads to which some objects lead, in their order.
+
+    Parameters
+    ----------
+    objects : iterable of bpy.types.Object
+        Any objects of characters.
+    among : iterable of bpy.types.Object, optional
+        The objects whose heads count; by default those of the scene.
+    """
+    heads = [obj for obj in (bpy.context.scene.objects if among is None else among) if can_be_driven(obj)]
+    return list(dict.fromkeys(head for obj in objects for head in _heads_at(obj, heads)))
+
+
+def _heads_at(obj: bpy.types.Object, heads: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    """Return the heads to which an object leads: itself, that of which it is a part, those of its armature, those
+    below it, or the only one below the nearest object above it that has one.
+    """
+    own = head_of(obj)
+    if can_be_driven(own):
+        return [own]
+    armature = armature_of(obj)
+    if armature is not None and (carried := [head for head in heads if armature_of(head) == armature]):
+        return carried
+    place: bpy.types.Object | None = obj
+    while place is not None:
+        below = [head for head in heads if place in _above(head)]
+        if below:
+            return below if place == obj or len(below) == 1 else []
+        place = place.parent
+    return []
+
+
+def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
+    """Return the object that leads to the character whose face is to be found, or None.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+
+    Returns
+    -------
+    bpy.types.Object or None
+        The active object if it is a selected mesh; otherwise the object among the selected and active ones that most
+        likely belongs to a character; with nothing selected, one of the only character there is.
+    """
+    active, selected = context.active_object, context.selected_objects
+    chosen = list(dict.fromkeys([*([active] if active in selected else []), *selected, *([active] if active else [])]))
+    if chosen and chosen[0] in selected and _may_have_face(chosen[0]):
+        return chosen[0]
+    found = [obj for obj in chosen if leads_to_face(obj)]
+    if not found or not selected:
+        there = _characters(context.visible_objects)
+        found = [there[0][0], *found] if len(there) == 1 else found
+    return max(found, key=is_character, default=None)
+
+
+def likely_character(objects: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
+    """Return the largest mesh of the characters among `objects`; None without any mesh that may have a face.
+
+    Parameters
+    ----------
+    objects : iterable of bpy.types.Object
+        All objects of a file.
+    """
+    meshes = [mesh for group in _characters(objects) for mesh in group]
+    carried = [mesh for mesh in meshes if armature_of(mesh) is not None or mesh.parent is not None]
+    return max(carried or meshes, key=_size, default=None)
+
+
+def require_character(obj: bpy.types.Object | None) -> bpy.types.Object:
+    """Return `obj`; raises HeadError if there is none, or it belongs to no mesh."""
+    if obj is None:
+        raise HeadError("No character is selected. Select one, or add a head with Add > Mesh > Facemime Head.")
+    if obj.type == "EMPTY" and obj.instance_collection is not None:
+        raise HeadError(
+            f"{obj.name} is an instance of a collection. Make its objects real first: Object > Apply > Make "
+            "Instances Real."
+        )
+    if not family_of(obj):
+        raise HeadError(f"{obj.name} belongs to no mesh. Select a character, or add a head.")
+    return obj
+
+
+def leads_to_face(obj: bpy.types.Object) -> bool:
+    """Return whether a mesh of the character of `obj` is large enough to have a face."""
+    return any(map(_may_have_face, family_of(obj)))
+
+
+def is_character(obj: bpy.types.Object) -> bool:
+    """Return whether an object is certainly one of a character: by its shape keys, or by the bones and the names of
+    its meshes.
+    """
+    if known_keys(obj) is not None:
+        return True
+    armature = armature_of(obj)
+    return armature is not None and bool(find_bones(list(armature.data.bones.keys()), {}).head) and leads_to_face(obj)
+
+
+def _characters(objects: Iterable[bpy.types.Object]) -> list[list[bpy.types.Object]]:
+    """Return the meshes of each character, or of each group of meshes if none is certainly a character."""
+    groups: dict[bpy.types.Object, list[bpy.types.Object]] = {}
+    for obj in filter(_may_have_face, objects):
+        groups.setdefault(armature_of(obj) or _root_of(obj), []).append(obj)
+    return [group for group in groups.values() if is_character(group[0])] or list(groups.values())
+
+
+def _size(obj: bpy.types.Object) -> tuple[float, int]:
+    return float(np.prod(obj.dimensions)), len(obj.data.vertices)
+
+
+def _may_have_face(obj: bpy.types.Object) -> bool:
+    return obj.type == "MESH" and len(obj.data.vertices) >= N_LANDMARKS and bool(len(obj.data.polygons))
 
 
 def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
-    """Return the armature that deforms or carries `obj`, if there is one."""
+    """Return the armature that deforms or carries `obj`, if there is one; an armature itself."""
+    if obj.type == "ARMATURE":
+        return obj
     if (armature := obj.find_armature()) is not None:
         return armature
-    parent = obj.parent
-    while parent is not None and parent.type != "ARMATURE":
-        parent = parent.parent
-    return parent
+    return next((above for above in _above(obj) if above.type == "ARMATURE"), None)
 
 
 def character_of(head: bpy.types.Object) -> set[bpy.types.Object]:
@@ -62,9 +216,7 @@ def material_names(obj: bpy.types.Object) -> list[str]:
 def _face_score(obj: bpy.types.Object) -> float:
     """Return how likely a mesh has the skin of the face, by names and shape keys; 0 or less is unlikely."""
     names = [obj.name, *material_names(obj)]
-    keys = obj.data.shape_keys
-    known = keys is not None and best_preset([key.name for key in keys.key_blocks]) is not None
-    score = 1.0 + 2.0 * any(map(names_skin, names)) + 1.0 * known
+    score = 1.0 + 2.0 * any(map(names_skin, names)) + 1.0 * (preset_of(obj) is not None)
     if all(named_part([name]) is not None for name in names) or named_part([obj.name]) is not None:
         score -= 4.0
     return score - 2.0 * names_body(obj.name)
@@ -72,7 +224,7 @@ def _face_score(obj: bpy.types.Object) -> float:
 
 def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
     """Return whether a loose object is named after a part of a face, and lies in the same collection near `obj`."""
-    if other.parent is not None or named_part([other.name]) is None:
+    if obj.type != "MESH" or other.parent is not None or named_part([other.name]) is None:
         return False
     if not set(other.users_collection) & set(obj.users_collection):
         return False
@@ -86,6 +238,13 @@ def _box(obj: bpy.types.Object) -> tuple[FloatArray, FloatArray]:
 
 
 def _root_of(obj: bpy.types.Object) -> bpy.types.Object:
+    return (obj, *_above(obj))[-1]
+
+
+def _above(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the parent of `obj`, its parent, and so on."""
+    above = []
     while obj.parent is not None:
         obj = obj.parent
-    return obj
+        above.append(obj)
+    return above

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache
 
 import bpy
 import numpy as np
@@ -13,15 +12,15 @@ from ...core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from ...core.drive.keyed_face import face_from_keys
 from ...core.errors import HeadError
 from ...core.heads.bones import FaceBones
+from ...core.heads.part_names import names_body
 from ...core.heads.parts import Part
 from ...core.heads.rig import neck_of
-from ...core.heads.sorting import names_body
-from ..characters import head_of, write_bones, write_kinds
+from ..characters import write_bones, write_kinds
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import driven_by_keys, group_weights, is_head, mesh_of, read_vertices
-from ..names import BAKED_KEY_PREFIX, COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
+from ..meshes import group_weights, key_names, read_vertices
+from ..names import COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
-from .family import armature_of, family_of
+from .family import armature_of, family_of, heads_of, require_character
 from .parts import bones_of
 
 _STILL = 1e-6
@@ -32,17 +31,7 @@ _OWN_WEIGHT = 0.5
 
 def known_set(obj: bpy.types.Object) -> KeyMap | None:
     """Return the mapping of the known set of shape keys that moves a mesh; None if it has no such set."""
-    return best_preset([name for name in _named(obj) if _offsets(obj, name).any()])
-
-
-def has_known_names(obj: bpy.types.Object) -> bool:
-    """Return whether a mesh has keys with the names of a known set, which is fast enough for drawing a panel."""
-    return _known(tuple(_named(obj)))
-
-
-@lru_cache(maxsize=16)
-def _known(names: tuple[str, ...]) -> bool:
-    return best_preset(names) is not None
+    return best_preset([name for name in key_names(obj) if _offsets(obj, name).any()])
 
 
 def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
@@ -51,7 +40,7 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     Parameters
     ----------
     obj : bpy.types.Object or None
-        Any mesh of the character.
+        Any object of the character.
 
     Returns
     -------
@@ -63,9 +52,9 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     HeadError
         If no mesh of the character has a known set of keys, or too few of them move anything.
     """
-    mesh_of(obj)
-    if driven_by_keys(head := head_of(obj)) or is_head(head):
-        return head
+    obj = require_character(obj)
+    if len(bound := heads_of([obj])) == 1:
+        return bound[0]
     family = family_of(obj)
     sets = {member: found for member in family if (found := known_set(member)) is not None}
     if not sets:
@@ -74,7 +63,7 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
         )
     head = max(sets, key=lambda member: len(sets[member].keys))
     table = sets[head]
-    keys = [name for name in table.keys if name in _named(head)]
+    keys = [name for name in table.keys if name in key_names(head)]
     mixtures = np.array([_mixture(table, name) for name in keys])
     face = face_from_keys(read_vertices(head.data), mixtures, [from_blender(_offsets(head, name)) for name in keys])
     if not np.allclose(face.upright, np.eye(3)):
@@ -83,7 +72,7 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     head.data[COUNT_PROPERTY] = len(head.data.vertices)
     for member in family:
         if member != head and not names_body(member.name):
-            part = Part.ON_SKIN if set(_named(member)) & set(table.keys) else Part.ON_HEAD
+            part = Part.ON_SKIN if set(key_names(member)) & set(table.keys) else Part.ON_HEAD
             write_kinds(member.data, np.full(len(member.data.vertices), part))
             member[HEAD_PROPERTY] = head
     armature = armature_of(head)
@@ -91,13 +80,6 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     write_bones(head, armature if bones.head else None, bones)
     head[PIVOT_PROPERTY] = to_blender(neck_of(read_vertices(head.data)[face.landmarks])).tolist()
     return head
-
-
-def _named(obj: bpy.types.Object) -> list[str]:
-    keys = obj.data.shape_keys
-    if keys is None:
-        return []
-    return [key.name for key in keys.key_blocks[1:] if not key.name.startswith(BAKED_KEY_PREFIX)]
 
 
 def _offsets(obj: bpy.types.Object, name: str) -> np.ndarray:
@@ -133,4 +115,4 @@ def _without_moved_eyes(bones: FaceBones, meshes: list[bpy.types.Object]) -> Fac
 def _look(obj: bpy.types.Object, bone: str) -> bool:
     """Return whether a key for the direction of the eyes moves the vertices of an eye's bone."""
     own = group_weights(obj, bone) > _OWN_WEIGHT
-    return bool(own.any()) and any(_offsets(obj, key)[own].any() for key in _named(obj) if "look" in key.lower())
+    return bool(own.any()) and any(_offsets(obj, key)[own].any() for key in key_names(obj) if "look" in key.lower())

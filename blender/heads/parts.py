@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 from ...core.arrays import FloatArray, IntArray
 from ...core.errors import HeadError
 from ...core.heads.bones import FaceBones, find_bones
+from ...core.heads.part_names import named_part, names_body
 from ...core.heads.parts import Part, Skin, skin_of
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import neck_of
-from ...core.heads.sorting import Piece, lower_row, named_part, names_body, sort_pieces
+from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.landmarks import JAW, NOSE, outer_eye_distance
 from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import bpy
 import numpy as np
@@ -39,6 +39,8 @@ class Placing:
         A mesh.
     asked : sequence of int
         iBUG numbers of the points to mark, in order; none if landmarks are to be moved.
+    take_back : callable, optional
+        Takes back the binding that the placing checks, if it is discarded.
 
     Attributes
     ----------
@@ -53,8 +55,11 @@ class Placing:
 
     current: Placing | None = None
 
-    def __init__(self, obj: bpy.types.Object, asked: Sequence[int] = ()) -> None:
+    def __init__(
+        self, obj: bpy.types.Object, asked: Sequence[int] = (), take_back: Callable[[], None] | None = None
+    ) -> None:
         self.name, self.asked, self.held = obj.name, tuple(asked), -1
+        self._take_back = take_back
         self.discarded = False
         self._step = 0
         self._marks = read_marks(obj.data)
@@ -102,6 +107,11 @@ class Placing:
         except VertexTakenError:
             return
 
+    @property
+    def changed(self) -> bool:
+        """Whether the end of the placing is an undo step of its own."""
+        return not self.discarded or self._take_back is not None
+
     def accept(self) -> None:
         """Keep the landmarks. Regions derived from the former ones are updated; painted regions are kept."""
         obj = self.obj
@@ -113,8 +123,11 @@ class Placing:
             propose_head_regions(obj)
 
     def discard(self) -> None:
-        """Restore landmarks and marks."""
+        """Restore landmarks and marks, or take the whole binding back."""
         self.discarded = True
+        if self._take_back is not None:
+            self._take_back()
+            return
         if (obj := self.obj) is None:
             return
         write_marks(obj.data, self._marks)

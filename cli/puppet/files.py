@@ -9,10 +9,9 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-from ...blender.characters import head_of
 from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
-from ...blender.heads.family import family_of
+from ...blender.heads.family import family_of, heads_of, likely_character
 from ...blender.heads.keyed import bind_keys, known_set
 from ...blender.heads.lips import open_lips
 from ...blender.media.rendering import quiet
@@ -107,14 +106,14 @@ def open_file(path: Path) -> None:
 
 
 def likely_mesh(path: Path) -> bpy.types.Object:
-    """Return the largest mesh of the open file that something carries, or otherwise the largest: any mesh of a
-    character leads to its face. Raises HeadError if there is none.
-    """
-    meshes = [obj for obj in bpy.context.scene.objects if obj.type == "MESH" and len(obj.data.polygons)]
-    if not meshes:
+    """Return a mesh of the most likely character of the open file; raises HeadError if it has no mesh of a face."""
+    objects = bpy.context.scene.objects
+    chosen = likely_character(objects)
+    if chosen is None:
+        chosen = next((obj for obj in objects if obj.type == "MESH" and len(obj.data.polygons)), None)
+    if chosen is None:
         raise HeadError(f"{path} has no mesh. Choose another file.")
-    carried = [obj for obj in meshes if obj.find_armature() is not None or obj.parent is not None]
-    return max(carried or meshes, key=lambda obj: float(np.prod(obj.dimensions)) + len(obj.data.vertices) * 1e-12)
+    return chosen
 
 
 def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.types.Object:
@@ -136,7 +135,9 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
     if not name and len(bound) > 1:
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: {path}:OBJECT.")
-    chosen = head_of(object_named(path, name)) if name else bound[0] if bound else likely_mesh(path)
+    named = object_named(path, name) if name else None
+    chosen = bound[0] if named is None and bound else named or likely_mesh(path)
+    chosen = next(iter(heads_of([chosen])), chosen)
     if chosen in bound:
         return chosen
     sets = [] if by_keys is None else [known_set(member) for member in family_of(chosen)]

@@ -100,6 +100,11 @@ class KeyMap:
         return tuple(dict.fromkeys(row.key for row in self.rows))
 
     @property
+    def short_name(self) -> str:
+        """The name of the set without what it is also used by, and without numbers: "ARKit"."""
+        return re.sub(r"\s\d+$", "", self.name.partition(",")[0])
+
+    @property
     def sources(self) -> frozenset[str]:
         """Coefficients that the table uses."""
         return frozenset(row.source for row in self.rows)

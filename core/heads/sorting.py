@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -20,37 +19,9 @@ from ..landmarks import (
     outer_eye_distance,
 )
 from ..mesh.surface import SurfaceGraph
+from .part_names import named_part, names_inside, names_upper
 from .parts import Part
 
-_ON_SKIN = (
-    r"lash|brow|beard|mou?stache|whisker|stubble|eye_?line|eye_?shadow|occlusion|tear_?line|caruncle|face_?mouth|"
-    r"mouth_?(wall|bag|cavity)"
-)
-_ON_HEAD = (
-    r"hair|fringe|pony|helm|glass|goggle|spectac|ear_?ring|head_?(phone|band|set|wear)|mask|horn|antler|crown|"
-    r"_(bun|bangs?|hats?|caps?|hood|halo|veil)_"
-)
-_EYE = r"eye(?!_?(lid|socket|patch))|iris|pupil|cornea|sclera|conjunctiva"
-_INSIDE = r"face_?mouth"
-"""Names of the wall of the mouth that may also be those of the teeth and the tongue within it."""
-_TEETH = r"teeth|tooth|_gums?_|dent(al|ure)|incisor|molar|fang"
-_TONGUE = r"tongue"
-_LOWER, _UPPER = r"lower|bottom|_low_|jaw|mandib|_bot_", r"upper|_up_|_top_|maxill"
-_BODY = (
-    r"body|cloth|outfit|shirt|dress|pants|trouser|shoe|boot|sock|foot|feet|hand|glove|skirt|jacket|coat|armou?r|"
-    r"sleeve|belt|scarf|torso|_(tops?|bottoms?|suit|tie|legs?|arms?)_"
-)
-_SKIN = r"face|head|skin"
-_NAMED = tuple(
-    (re.compile(pattern), part)
-    for pattern, part in (
-        (_ON_SKIN, Part.ON_SKIN),
-        (_TONGUE, Part.TEETH_LOWER),
-        (_TEETH, Part.TEETH_UPPER),
-        (_ON_HEAD, Part.ON_HEAD),
-        (_EYE, Part.EYE_LEFT),
-    )
-)
 _NEAR_EYE = 0.6
 """Largest distance of the middle of an eye's piece from the middle of the eye, seen from the front, in eye widths."""
 _EYE_SIZE = (0.15, 1.5)
@@ -101,39 +72,6 @@ class Piece:
     joined: bool = False
 
 
-def named_part(names: Sequence[str]) -> Part | None:
-    """Return the part that names describe, or None. Teeth count as upper and eyes as left.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names, the most specific first.
-
-    Returns
-    -------
-    Part or None
-        The part.
-    """
-    for name in names:
-        text = _plain(name)
-        for pattern, part in _NAMED:
-            if pattern.search(text):
-                return Part.TEETH_LOWER if part == Part.TEETH_UPPER and re.search(_LOWER, text) else part
-    return None
-
-
-def names_skin(name: str) -> bool:
-    """Return whether a name is that of the skin of a face or head."""
-    text = _plain(name)
-    return bool(re.search(_SKIN, text)) and not any(pattern.search(text) for pattern, _ in _NAMED)
-
-
-def names_body(name: str) -> bool:
-    """Return whether a name is that of a body or its clothes."""
-    text = _plain(name)
-    return bool(re.search(_BODY, text)) and not re.search(_SKIN, text)
-
-
 def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None]:
     """Assign the pieces of a character's face to parts.
 
@@ -160,7 +98,7 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
     parts: list[Part | None] = []
     for piece in pieces:
         named = named_part(piece.names)
-        if named == Part.ON_SKIN and not piece.joined and re.search(_INSIDE, _plain(piece.names[0])):
+        if named == Part.ON_SKIN and not piece.joined and names_inside(piece.names[0]):
             named = None
         if piece.skin:
             parts.append(Part.SKIN)
@@ -207,7 +145,7 @@ def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: Flo
     unsure = [
         i
         for i, (piece, part) in enumerate(zip(pieces, parts, strict=True))
-        if part == Part.TEETH_UPPER and not any(re.search(_UPPER, _plain(name)) for name in piece.names)
+        if part == Part.TEETH_UPPER and not names_upper(piece.names)
     ]
     if not unsure:
         return
@@ -267,9 +205,3 @@ def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
         and (high - low)[0] < 1.5 * width
         and (high - low)[1] < _TALLEST * unit
     )
-
-
-def _plain(name: str) -> str:
-    """Return a name in lower case with words separated by underscores: `EyeLeft` becomes `_eye_left_`."""
-    apart = re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", name)
-    return "_" + re.sub(r"[^a-z]+", "_", apart.lower()) + "_"

@@ -128,7 +128,7 @@ def test_the_operator_reports_what_a_damaged_take_lacks(tmp_path, capfd):
 def test_a_mesh_without_landmarks_is_reported(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     bpy.ops.mesh.primitive_cube_add()
-    with pytest.raises(RuntimeError, match="has no landmarks"):
+    with pytest.raises(RuntimeError, match="Select a head"):
         bpy.ops.facemime.puppet_video(filepath=str(tmp_path / "take.facetake"))
 
 

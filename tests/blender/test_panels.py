@@ -91,7 +91,7 @@ def editing() -> None:
 @pytest.mark.parametrize(
     ("state", "expected"),
     [
-        (nothing, "Select a mesh"),
+        (nothing, "Select a character, or add a head"),
         (cube, "facemime.bind_landmarks"),
         (marked_head, "Marked points: 1"),
         (editing, "facemime.set_landmark"),

@@ -16,9 +16,10 @@ from facemime.core.drive.parts import PartDriver
 from facemime.core.heads.bones import FaceBones, find_bones
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
+from facemime.core.heads.part_names import named_part, names_body, names_skin
 from facemime.core.heads.parts import FaceParts, Part, skin_of
 from facemime.core.heads.rig import HeadRig, built_in_rig
-from facemime.core.heads.sorting import Piece, lower_row, named_part, names_body, names_skin, sort_pieces
+from facemime.core.heads.sorting import Piece, lower_row, sort_pieces
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.mesh.pieces import border_twins, islands
 from facemime.core.rotation import euler_to_matrix
@@ -127,16 +128,32 @@ def test_layers_that_touch_inside_a_mesh_are_not_joined():
         ("Eyelid", None),
         ("Handle", None),
         ("Material.001", None),
+        ("eye_brown", Part.EYE_LEFT),
+        ("Mustache", Part.ON_SKIN),
+        ("eyelashmesh", Part.ON_SKIN),
+        ("EyeSocket", None),
+        ("Chair", None),
+        ("Splash", None),
+        ("Thorns", None),
+        ("Irish Setter", None),
+        ("まつ毛", Part.ON_SKIN),
+        ("眼鏡", Part.ON_HEAD),
+        ("白目", Part.EYE_LEFT),
     ],
 )
 def test_parts_are_recognised_by_name(name, part):
     assert named_part([name]) == part
 
 
-def test_the_most_specific_name_decides():
+def test_the_most_telling_name_decides():
     assert named_part(["Std_Eyelash", "CC_Base_Body"]) == Part.ON_SKIN
+    assert named_part(["Hair", "Eyebrows"]) == named_part(["Eyebrows", "Hair"]) == Part.ON_SKIN
+    assert named_part(["Glass", "Eye_L"]) == Part.EYE_LEFT
+    assert named_part(["Hair", "Head_Hair_Eyes_Brows"]) == Part.ON_HEAD, "a name of several parts tells nothing"
+    assert named_part(["Material", "LowerJawTeeth"]) == Part.TEETH_LOWER
     assert names_skin("Wolf3D_Head") and not names_skin("HeadBand") and names_body("Wolf3D_Outfit_Top")
-    assert not names_body("Cube.001") and not names_body("Body_Skin_Head")
+    assert not names_body("Cube.001") and not names_body("Body_Skin_Head") and not names_body("Eye Socket")
+    assert not names_skin("Water Surface") and not names_skin("Forehead Wrap") and names_skin("顔")
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,157 @@
+"""What the names of objects and materials say about the parts of a character's face.
+
+Names are compared word by word, as "brow" is part of "brown" and "face" of "surface". Words may be joined
+(`EyeLeft`, `eye_left`, `eyeleft`), and have a side, a row or what artists append to names of meshes.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from .parts import Part
+
+_BEFORE = (
+    r"(?:l|r|left|right|both|upper|lower|top|bottom|front|back|inner|outer|base|my|male|female|man|woman|human|"
+    r"character|std|default)?"
+)
+_AFTER = r"(?:s|es|l|r|left|right|upper|lower|top|bottom|inner|outer|mesh|geo|geometry|obj|object|mat|material|base)*"
+_EYE = r"eyes? ?"
+
+
+def _words(*patterns: str) -> re.Pattern[str]:
+    """Compile patterns of whole words, whose words are separated by an optional space."""
+    joined = "|".join(pattern.replace("_", " ?") for pattern in patterns)
+    return re.compile(rf"(?<= ){_BEFORE}(?:{joined}){_AFTER}(?= )")
+
+
+_ON_SKIN = _words(
+    rf"(?:{_EYE})?(?:lash|brow)(?:e?s)?(?:_(?:card|line|hair|fur)s?)?",
+    r"face_brow",
+    r"(?:beard|goatee|whisker|stubble|side_?burn)",
+    r"mo?usta(?:ch|sh)e?",
+    rf"{_EYE}(?:liner?|shadow|occlusion|wetness|moisture|blend|edge|crease)",
+    r"occlusion",
+    r"tear_?(?:line|film|duct)?",
+    r"lacrimal(?:_fluid)?",
+    r"caruncle",
+    r"face_mouth",
+    r"(?:inner_)?mouth_(?:wall|bag|cavity|sock|socket|inside|interior|inner)",
+    r"face_(?:hair|fuzz)|facial_hair|peach_fuzz",
+)
+_TONGUE = _words(r"tongue")
+_TEETH = _words(r"teeth", r"tooth", r"gums?", r"dent(?:al|ure|ition)", r"incisor", r"molar", r"fang", r"canine_teeth")
+_ON_HEAD = _words(
+    r"hair(?:_?(?:band|line|cap|card|cut|style|do|piece|front|back|side|strand|tie|pin|clip|bow)s?)?",
+    r"(?:pony|pig|twin|side)_tail",
+    r"braid",
+    r"(?:fringe|bangs?|bun|ahoge|mohawk|dreads?|wig)",
+    r"(?:sun|eye|reading)?_?glass(?:es)?(?:_(?:frame|lens|lense)s?)?",
+    r"goggle",
+    r"spectacles?",
+    r"eye_wear|eye_patch",
+    r"monocle",
+    r"ear_(?:ring|bud|phone|muff|stud)",
+    r"head_(?:phone|band|set|wear|dress|gear|scarf|piece)",
+    r"(?:helm|helmet|visor|mask|horn|antler|crown|tiara|hat|cap|beanie|hood|halo|veil|piercing|ribbon)",
+)
+_EYES = _words(
+    rf"(?:face_)?{_EYE}(?:ball|iris|white|highlight|pupil|lens|shine|reflex|reflection|cornea|sclera|inner|outer|all)?s?",
+    r"iris(?:es)?|irides",
+    r"(?:pupil|cornea|sclera|eyeball)",
+    r"conjunctiva",
+)
+_EYE_SKIN = _words(r"(?:upper_|lower_)?eye_(?:lid|socket|bag|let)", r"eye_(?:upper_|lower_)?lid")
+"""Skin that is named after the eye."""
+_NATIVE = (
+    (re.compile(r"眉|睫|まつ[毛げ]|髭|ひげ|胡"), Part.ON_SKIN),
+    (re.compile(r"舌"), Part.TEETH_LOWER),
+    (re.compile(r"[歯齿牙]"), Part.TEETH_UPPER),
+    (re.compile(r"髪|头发|頭髮|眼鏡|眼镜|メガネ|帽"), Part.ON_HEAD),
+    (re.compile(r"[目眼瞳]|虹彩"), Part.EYE_LEFT),
+)
+"""Names in Japanese and Chinese, in which many avatars are made, and which do not separate words."""
+_NAMED = (
+    (_ON_SKIN, Part.ON_SKIN),
+    (_EYE_SKIN, None),
+    (_TONGUE, Part.TEETH_LOWER),
+    (_TEETH, Part.TEETH_UPPER),
+    (_ON_HEAD, Part.ON_HEAD),
+    (_EYES, Part.EYE_LEFT),
+)
+_RANKS = (Part.ON_SKIN, Part.TEETH_LOWER, Part.TEETH_UPPER, Part.EYE_LEFT, Part.ON_HEAD)
+"""Parts, those with the more telling names first: brows and lashes are made of hair, corneas of glass."""
+_INSIDE = _words(r"face_mouth")
+"""Names of the wall of the mouth that may also be those of the teeth and the tongue within it."""
+_LOWER = re.compile(r"lower|bottom|mandib| low | jaw | bot | btm |下")
+_UPPER = re.compile(r"upper|maxill| up | top |上")
+_BODY = _words(
+    r"(?:body|bodies|torso|foot|feet|hand|leg|arm|nail|finger|toe)",
+    r"(?:cloth|clothes|clothing|outfit|wear|under_wear|garment|uniform|costume|kimono|suit|armou?r|accessor(?:y|ies))",
+    r"(?:t_|sweat_|under_)?shirt",
+    r"(?:dress|pants?|trousers?|shorts?|jeans|skirt|jacket|coat|vest|hoodie|sweater|sleeve|belt|scarf|collar|tie)",
+    r"(?:shoe|boot|sock|glove|sneaker|heel|foot_wear)",
+    r"outfit_(?:top|bottom|footwear)",
+    r"(?:top|bottom)s?",
+)
+_SKIN = _words(r"(?:face|head|skin)(?:_skin)?", r"顔|颜|臉|脸|頭|头")
+
+
+def named_part(names: Sequence[str]) -> Part | None:
+    """Return the part that names describe, or None. Teeth count as upper and eyes as left.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names, the most specific first.
+
+    Returns
+    -------
+    Part or None
+        The part. A name of several parts, such as that of an object with all of them, decides only if no other does.
+    """
+    found = [parts_in(name) for name in names]
+    certain = [parts[0] for parts in found if len(parts) == 1] or [parts[0] for parts in found if parts]
+    if not certain:
+        return None
+    part = min(certain, key=_RANKS.index)
+    if part == Part.TEETH_UPPER and any(_LOWER.search(spaced(name)) for name in names):
+        return Part.TEETH_LOWER
+    return part
+
+
+def parts_in(name: str) -> list[Part]:
+    """Return the parts that a single name describes; the tongue counts as lower teeth."""
+    text, found = spaced(name), []
+    for pattern, part in (*_NAMED, *_NATIVE):
+        text, count = pattern.subn(" ", text)
+        if count and part is not None:
+            found.append(part)
+    return list(dict.fromkeys(found))
+
+
+def names_upper(names: Sequence[str]) -> bool:
+    """Return whether a name says that teeth are those of the upper row."""
+    return any(_UPPER.search(spaced(name)) for name in names)
+
+
+def names_inside(name: str) -> bool:
+    """Return whether a name may be that of the wall of the mouth or of what is within it."""
+    return bool(_INSIDE.search(spaced(name)))
+
+
+def names_skin(name: str) -> bool:
+    """Return whether a name is that of the skin of a face or head."""
+    return bool(_SKIN.search(spaced(name))) and not parts_in(name)
+
+
+def names_body(name: str) -> bool:
+    """Return whether a name is that of a body or its clothes."""
+    text = spaced(name)
+    return bool(_BODY.search(text) or re.search(r"身体|体$|服", name)) and not _SKIN.search(text)
+
+
+def spaced(name: str) -> str:
+    """Return the words of a name in lower case between spaces: `EyeLeft.001` becomes ` eye left `."""
+    apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
+    return " " + " ".join(re.sub(r"[\W\d_]+", " ", apart.lower()).split()) + " "

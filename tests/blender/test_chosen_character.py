@@ -1,0 +1,152 @@
+"""Any object of a character leads to its face, whatever an importer or the user has selected."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+from characters import make_character, shown
+
+from facemime.blender.heads.binding import bind_character
+from facemime.blender.heads.binding_undo import FormerBinding
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.family import character_in, face_candidates, heads_of, known_keys
+from facemime.blender.meshes import is_head, read_landmarks
+from facemime.blender.names import PART_PROPERTY, REGION_GROUPS
+from facemime.core.errors import HeadError
+from facemime.operators.own_head import FACEMIME_OT_bind_landmarks
+from facemime.operators.shared import chosen_character, heads_in, subject
+
+
+def select(*objects: bpy.types.Object, active: bpy.types.Object | None = None) -> None:
+    bpy.context.view_layer.update()
+    for obj in bpy.context.view_layer.objects:
+        obj.select_set(obj in objects)
+    bpy.context.view_layer.objects.active = active
+
+
+def default_objects() -> None:
+    """The cube, light and camera with which Blender starts."""
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.object.light_add(location=(4.0, 1.0, 6.0))
+    bpy.ops.object.camera_add(location=(7.0, -7.0, 5.0))
+
+
+@pytest.fixture
+def character() -> dict[str, bpy.types.Object]:
+    """A rigged character with a name for its face, below an empty, in the default scene."""
+    default_objects()
+    objects = make_character(rig=True)
+    objects["head"].name = "Hero_Head"
+    objects["armature"] = objects["head"].parent
+    objects["empty"] = bpy.data.objects.new("Hero", None)
+    bpy.context.scene.collection.objects.link(objects["empty"])
+    objects["armature"].parent = objects["empty"]
+    return objects
+
+
+@pytest.mark.parametrize("start", ["armature", "empty", "body", "eye_left", "head"])
+def test_every_object_of_a_character_leads_to_its_face(character, start):
+    select(character[start], active=character[start])
+    assert face_candidates(chosen_character(bpy.context))[0] == character["head"]
+    assert FACEMIME_OT_bind_landmarks.poll(bpy.context)
+
+
+def test_the_selection_of_an_importer_leads_to_the_face(character):
+    select(*character.values(), active=character["armature"])
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    assert bpy.context.active_object == character["head"] and bpy.context.selected_objects == [character["head"]]
+    for start in ("armature", "empty", "body"):
+        select(character[start], active=character[start])
+        assert heads_in(bpy.context) == [character["head"]] and subject(bpy.context) == character["head"]
+
+
+def test_with_nothing_selected_the_only_character_is_found(character):
+    select(active=bpy.data.objects["Cube"])
+    assert face_candidates(character_in(bpy.context))[0] == character["head"]
+    select(bpy.data.objects["Point"], active=bpy.data.objects["Point"])
+    assert face_candidates(character_in(bpy.context))[0] == character["head"]
+
+
+def test_of_two_characters_the_selected_one_is_found(character):
+    other = make_character(rig=True)
+    other["head"].name = "Villain_Head"
+    select()
+    assert character_in(bpy.context) is None
+    for one in (character, other):
+        armature = one["head"].parent
+        select(armature, active=armature)
+        assert face_candidates(chosen_character(bpy.context))[0] == one["head"]
+
+
+def test_two_characters_below_one_object_are_kept_apart(character):
+    other = make_character(rig=True)
+    other["head"].name = "Villain_Head"
+    other["head"].parent.parent = character["empty"]
+    for one in (character, other):
+        select(one["body"], active=one["body"])
+        assert face_candidates(chosen_character(bpy.context))[0] == one["head"]
+        assert set(face_candidates(one["head"].parent)).isdisjoint({character["head"], other["head"]} - {one["head"]})
+
+
+def test_an_empty_scene_and_lights_lead_to_no_character():
+    assert chosen_character(bpy.context) is None
+    bpy.ops.object.light_add()
+    assert chosen_character(bpy.context) is None and not FACEMIME_OT_bind_landmarks.poll(bpy.context)
+    with pytest.raises(HeadError, match="belongs to no mesh"):
+        bind_character(bpy.data.objects["Point"])
+
+
+def test_an_instance_of_a_collection_says_how_to_make_it_real():
+    collection = bpy.data.collections.new("Hero")
+    empty = bpy.data.objects.new("Hero", None)
+    empty.instance_type, empty.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(empty)
+    with pytest.raises(HeadError, match="Make Instances Real"):
+        bind_character(empty)
+
+
+def test_the_only_head_is_driven_unless_another_character_is_selected(character):
+    head = add_head(bpy.context)
+    select(bpy.data.objects["Cube"], active=bpy.data.objects["Cube"])
+    assert heads_in(bpy.context) == [head]
+    select(character["armature"], active=character["armature"])
+    assert heads_in(bpy.context) == []
+    assert heads_of(head.children) == [head]
+
+
+def test_keys_on_any_mesh_of_a_character_are_recognised(character):
+    character["head"].shape_key_add(name="Basis")
+    for name in ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "mouthSmileLeft"):
+        character["head"].shape_key_add(name=name)
+    for start in ("armature", "body", "eye_left"):
+        assert known_keys(character[start]).short_name == "ARKit" and len(known_keys(character[start]).keys) == 4
+
+
+@pytest.mark.parametrize("y_up", [False, True])
+def test_a_binding_that_is_taken_back_leaves_the_character_as_it_was(y_up):
+    objects = make_character(rig=True, y_up=y_up)
+    select(objects["head"], active=objects["body"])
+    before = {name: (shown(obj), dict(obj), dict(obj.data)) for name, obj in objects.items()}
+    former = FormerBinding(bpy.context)
+    head, _ = bind_character(objects["head"])
+    assert is_head(head)
+    former.restore(bpy.context)
+    bpy.context.view_layer.update()
+    for name, obj in objects.items():
+        places, own, of_mesh = before[name]
+        np.testing.assert_allclose(shown(obj), places, atol=1e-5)
+        assert dict(obj) == own and dict(obj.data) == of_mesh and PART_PROPERTY not in obj.data.attributes
+    assert not any(name in objects["head"].vertex_groups for name in REGION_GROUPS)
+    assert bpy.context.selected_objects == [objects["head"]] and bpy.context.active_object == objects["body"]
+
+
+def test_taking_back_a_second_binding_restores_the_first_one():
+    objects = make_character(rig=True)
+    head, _ = bind_character(objects["head"])
+    landmarks, weights = read_landmarks(head), [group.name for group in head.vertex_groups]
+    former = FormerBinding(bpy.context)
+    head.data["facemime_landmarks"] = landmarks[::-1].tolist()
+    former.restore(bpy.context)
+    np.testing.assert_array_equal(read_landmarks(head), landmarks)
+    assert [group.name for group in head.vertex_groups] == weights
