@@ -6,10 +6,8 @@ An action lists the curves that Facemime made, so that a second bake replaces th
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import bpy
 import numpy as np
@@ -117,7 +115,7 @@ def animated_paths(owner: bpy.types.ID, paths: Sequence[str]) -> list[str]:
     if data is None:
         return []
     driven = {driver.data_path for driver in data.drivers if not driver.mute}
-    animated = {curve.data_path for curve in _existing(owner) if not curve.mute} - _owned(data.action)
+    animated = {curve.data_path for curve in curves_of(owner) if not curve.mute} - _owned(data.action)
     return [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]
 
 
@@ -126,7 +124,7 @@ def _muted_paths(owner: bpy.types.ID) -> set[str]:
     data = owner.animation_data
     if data is None or data.action is None:
         return set()
-    return {curve.data_path for curve in _existing(owner) if curve.mute} - _owned(data.action)
+    return {curve.data_path for curve in curves_of(owner) if curve.mute} - _owned(data.action)
 
 
 def mute_paths(owner: bpy.types.ID, paths: Sequence[str]) -> int:
@@ -138,7 +136,7 @@ def mute_paths(owner: bpy.types.ID, paths: Sequence[str]) -> int:
     paths : sequence of str
     """
     animated = animated_paths(owner, paths)
-    found = [item for item in (*_existing(owner), *owner.animation_data.drivers) if item.data_path in animated]
+    found = [item for item in (*curves_of(owner), *owner.animation_data.drivers) if item.data_path in animated]
     for item in found:
         item.mute = True
     return len(found)
@@ -152,7 +150,7 @@ def remove_curves(owner: bpy.types.ID, prefix: str) -> None:
     owner : bpy.types.ID
     prefix : str
     """
-    fcurves = _existing(owner)
+    fcurves = curves_of(owner)
     for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path.startswith(prefix)]:
         fcurves.remove(fcurve)
 
@@ -162,7 +160,7 @@ def baked_paths(owner: bpy.types.ID) -> set[str]:
     data = owner.animation_data
     if data is None:
         return set()
-    actions = [data.action, *(strip.action for track in _tracks(owner) for strip in track.strips)]
+    actions = [data.action, *(strip.action for track in tracks_of(owner) for strip in track.strips)]
     return set().union(*(_owned(action) for action in actions))
 
 
@@ -172,68 +170,17 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
     A strip that the user added to a bake's track is kept, and so is the track.
     """
     removed, data = baked_paths(owner), owner.animation_data
-    for track in _tracks(owner):
+    for track in tracks_of(owner):
         for strip in [strip for strip in track.strips if _owned(strip.action)]:
             track.strips.remove(strip)
         if not track.strips:
             data.nla_tracks.remove(track)
     if data is not None and (owned := _owned(data.action)):
-        fcurves = _existing(owner)
+        fcurves = curves_of(owner)
         for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path in owned]:
             fcurves.remove(fcurve)
         data.action[_OWNED] = ""
     return removed
-
-
-@dataclass(frozen=True)
-class Muted:
-    """A curve, track or shape key that was muted.
-
-    It is looked up again to unmute it: Python's pointer to it becomes invalid when the user removes it, and writing to
-    it would crash Blender.
-
-    Attributes
-    ----------
-    find : callable
-        Returns the item, or None if it was removed; may raise ReferenceError if its data-block was deleted.
-    """
-
-    find: Callable[[], Any]
-
-    @classmethod
-    def all_of(cls, finds: Iterable[Callable[[], Any]]) -> list[Muted]:
-        """Mute the items that `finds` return, and return those that were not muted before."""
-        unmuted = [find for find in finds if not find().mute]
-        for find in unmuted:
-            find().mute = True
-        return [cls(find) for find in unmuted]
-
-    def unmute(self) -> None:
-        """Unmute the item if it still exists."""
-        try:
-            item = self.find()
-        except ReferenceError:
-            return
-        if item is not None:
-            item.mute = False
-
-
-def mute_curves(owner: bpy.types.ID, prefix: str) -> list[Muted]:
-    """Mute the curves of `owner` whose data path starts with `prefix`, and return those that were not muted before.
-
-    Parameters
-    ----------
-    owner : bpy.types.ID
-    prefix : str
-    """
-    return Muted.all_of(_curve_finders(owner, lambda path: path.startswith(prefix)))
-
-
-def mute_bake(owner: bpy.types.ID) -> list[Muted]:
-    """Mute the curves and tracks that a bake wrote for `owner`, and return those that were not muted before."""
-    owned = _owned(owner.animation_data.action) if owner.animation_data is not None else set()
-    tracks = [partial(_find_track, owner, track.name) for track in _tracks(owner)]
-    return Muted.all_of([*_curve_finders(owner, owned.__contains__), *tracks])
 
 
 def others_playing(owner: bpy.types.ID) -> list[str]:
@@ -242,8 +189,8 @@ def others_playing(owner: bpy.types.ID) -> list[str]:
     if data is None:
         return []
     owned = _owned(data.action)
-    action = [data.action.name] if any(not c.mute and c.data_path not in owned for c in _existing(owner)) else []
-    return action + [track.name for track in _other_tracks(owner) if not track.mute]
+    action = [data.action.name] if any(not c.mute and c.data_path not in owned for c in curves_of(owner)) else []
+    return action + [track.name for track in _othertracks_of(owner) if not track.mute]
 
 
 def mute_others(owner: bpy.types.ID) -> int:
@@ -251,31 +198,26 @@ def mute_others(owner: bpy.types.ID) -> int:
     if owner.animation_data is None:
         return 0
     owned = _owned(owner.animation_data.action)
-    found = [*(curve for curve in _existing(owner) if curve.data_path not in owned), *_other_tracks(owner)]
+    found = [*(curve for curve in curves_of(owner) if curve.data_path not in owned), *_othertracks_of(owner)]
     playing = [item for item in found if not item.mute]
     for item in playing:
         item.mute = True
     return len(playing)
 
 
-def _other_tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+def _othertracks_of(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
     """Return the NLA tracks with a strip that no bake wrote."""
     tracks = owner.animation_data.nla_tracks
     return [track for track in tracks if any(not _owned(strip.action) for strip in track.strips)]
 
 
-def _curve_finders(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Callable[[], Any]]:
-    data = owner.animation_data
-    slot = getattr(data, "action_slot", None)
-    handle = 0 if slot is None else slot.handle
-    return [
-        partial(_find_curve, data.action, handle, curve.data_path, curve.array_index)
-        for curve in _existing(owner)
-        if wanted(curve.data_path)
-    ]
+def slot_of(owner: bpy.types.ID) -> int:
+    """Return the handle of the slot of the owner's action, 0 if actions have no slots."""
+    slot = getattr(owner.animation_data, "action_slot", None)
+    return 0 if slot is None else int(slot.handle)
 
 
-def _find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
+def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
     """Return the curve in the channel bag of a slot; an action without slots has a single set of curves."""
     if not hasattr(action, "slots"):
         return action.fcurves.find(path, index=index)
@@ -284,12 +226,8 @@ def _find_curve(action: bpy.types.Action, handle: int, path: str, index: int) ->
     return next((curve for curve in found if curve is not None), None)
 
 
-def _find_track(owner: bpy.types.ID, name: str) -> bpy.types.NlaTrack | None:
-    data = owner.animation_data
-    return None if data is None else data.nla_tracks.get(name)
-
-
-def _tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+def tracks_of(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+    """Return the NLA tracks of bakes."""
     data = owner.animation_data
     return [] if data is None else [track for track in data.nla_tracks if _TRACK_NAME.fullmatch(track.name)]
 
@@ -337,7 +275,7 @@ def _fcurves(owner: bpy.types.ID):
     return _fcurves_of(data.action, data.action_slot if hasattr(data.action, "slots") else None)
 
 
-def _existing(owner: bpy.types.ID):
+def curves_of(owner: bpy.types.ID):
     """Return the curves of the owner's action, or an empty collection; nothing is created."""
     data = owner.animation_data
     if data is None or data.action is None:

@@ -18,6 +18,12 @@ SELECTION_PROPERTY = "facemime_control_points"
 LIVE_PROPERTY = "facemime_live"
 """Custom property of the mesh during a live session: 1, or 2 if it had no shape keys before."""
 
+VALUES_PROPERTY = "facemime_values"
+"""Custom property of shape keys during a live session: their values before it, as JSON."""
+
+ASIDE_PROPERTY = "facemime_aside"
+"""Custom property of an object or shape keys during a live session: what is muted meanwhile, as JSON."""
+
 PART_PROPERTY = "facemime_part"
 """Custom property of a child object: which part of the head it is, a key of `PART_OBJECTS`."""
 

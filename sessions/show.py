@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -10,23 +11,40 @@ from bpy.app.handlers import persistent
 
 from ..blender.animation.bake import set_range
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
-from ..blender.animation.live_keys import KEYS, live_keys
-from ..blender.meshes import driven_by_keys
+from ..blender.animation.live_keys import names_of
+from ..blender.messages import show_error
+from ..blender.registering import watch
 from ..blender.rigs import read_rig
 from ..blender.timeline import frames_of, seconds_of
 from ..blender.undo import push_undo
+from ..blender.viewports import redraw
 from ..core.drive.driver import HeadDriver
-from ..core.errors import HeadError
-from ..core.live.key_driver import KeyDriver
+from ..core.errors import FacemimeError, HeadError
+from ..core.live.key_driver import KeyDriver, LiveKeys
 from ..core.puppet.performance import Performance
+from ..core.puppet.settings import PuppetSettings
 from ..core.takes.take import Take
 from ..settings.values import pose_targets, puppet_settings
 from .session import Session
+from .start import keys_of
+
+_INTERVAL = 0.05
+"""Seconds between two looks at the settings."""
 
 
-def _driver(performance: Performance, obj: bpy.types.Object) -> HeadDriver | KeyDriver:
-    driver = performance.driver(read_rig(obj))
-    return KeyDriver(driver, performance.neutral, live_keys(obj, KEYS)) if driven_by_keys(obj) else driver
+@dataclass(frozen=True)
+class _Wanted:
+    """The settings of a scene that a shown take follows."""
+
+    puppet: PuppetSettings
+    drive_by: str
+    rows: tuple[tuple[str, str, float, float], ...]
+
+    @classmethod
+    def of(cls, scene: bpy.types.Scene) -> _Wanted:
+        """Read the settings."""
+        rows = tuple((row.source, row.key, row.gain, row.offset) for row in scene.facemime_takes.bake.rows)
+        return cls(puppet_settings(scene.facemime), scene.facemime.drive_by, rows)
 
 
 class TakeShow(Session):
@@ -50,46 +68,85 @@ class TakeShow(Session):
         if not objects:
             raise HeadError("No head is selected. Use Add > Mesh > Facemime Head, or find the face of your own.")
         settings = scene.facemime
-        performance = Performance.of(take, puppet_settings(settings))
+        self._recorded, self._wanted = take, _Wanted.of(scene)
+        self._performance = Performance.of(take, self._wanted.puppet)
+        keys = [keys_of(scene, obj) for obj in objects]
         follow = Follow(settings.rotation, settings.translation)
         self._heads = [
-            (
-                LiveHeadObject(obj, pose_targets(settings.posing, obj), follow),
-                _driver(performance, obj),
-            )
-            for obj in objects
+            LiveHeadObject(obj, pose_targets(settings.posing, obj), follow, names_of(own))
+            for obj, own in zip(objects, keys, strict=True)
         ]
-        self._take = performance.take.part(performance.take.found)
+        self._drivers = [self._driver(obj, own, None) for obj, own in zip(objects, keys, strict=True)]
         self._scene = scene.name
         super().__init__()
         set_range(scene, frames_of(scene, take.times))
         self.resume()
         push_undo("Preview on Head")
+        watch(_follow, _INTERVAL)
+
+    def _driver(
+        self, obj: bpy.types.Object, keys: LiveKeys | None, before: HeadDriver | None
+    ) -> HeadDriver | KeyDriver:
+        driver = self._performance.driver(read_rig(obj), before)
+        return driver if keys is None else KeyDriver(driver, self._performance.neutral, keys)
+
+    @property
+    def scene(self) -> str:
+        """Name of the scene whose settings and frame are followed."""
+        return self._scene
+
+    def follow(self, scene: bpy.types.Scene) -> bool:
+        """Apply the current settings of the scene; return whether they have changed since the last call.
+
+        Raises
+        ------
+        FacemimeError
+            If a head cannot be driven with these settings.
+        """
+        before, wanted = self._wanted, _Wanted.of(scene)
+        if wanted == before:
+            return False
+        self._wanted = wanted
+        if (wanted.puppet.smoothing, wanted.puppet.neutral) != (before.puppet.smoothing, before.puppet.neutral):
+            self._performance = Performance.of(self._recorded, wanted.puppet)
+        else:
+            self._performance = replace(self._performance, settings=wanted.puppet.drive)
+        for number, shown in enumerate(self._heads):
+            if not shown.gone:
+                keys, earlier = keys_of(scene, shown.obj), self._drivers[number]
+                driver = earlier.head if isinstance(earlier, KeyDriver) else earlier
+                self._drivers[number] = self._driver(shown.obj, keys, driver)
+                shown.follow = Follow(wanted.puppet.rotation, wanted.puppet.translation)
+                shown.drive_by(names_of(keys))
+        self.show(scene)
+        return True
 
     def show(self, scene: bpy.types.Scene) -> None:
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""
         if scene.name != self._scene:
             return
-        result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
-        require_one_left([shown for shown, _ in self._heads])
-        for shown, driver in self._heads:
+        take = self._performance.take
+        away = np.where(take.found, np.abs(take.times - seconds_of(scene)), np.inf)
+        result = take.result(int(away.argmin()))
+        require_one_left(self._heads)
+        for shown, driver in zip(self._heads, self._drivers, strict=True):
             if not shown.gone:
                 shown.write(driver.frame(result))
 
     def suspend(self) -> None:
         """Restore the heads while the file is saved."""
-        for shown, _ in self._heads:
+        for shown in self._heads:
             shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Display the take on the heads."""
-        for shown, _ in self._heads:
+        for shown in self._heads:
             shown.attach()
         if (scene := bpy.data.scenes.get(self._scene)) is not None:
             self.show(scene)
 
     def _restore(self, *, blocks: bool) -> None:
-        removed = [shown.detach(keep=False, blocks=blocks) for shown, _ in self._heads]
+        removed = [shown.detach(keep=False, blocks=blocks) for shown in self._heads]
         if any(removed):
             push_undo("Stop Showing Take")
 
@@ -105,4 +162,20 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
         session.close()
 
 
+def _follow() -> float | None:
+    """Let a shown take follow the settings, as no frame changes when a slider is moved."""
+    session = TakeShow.running()
+    if session is None:
+        return None
+    scene = bpy.data.scenes.get(session.scene)
+    try:
+        if scene is not None and session.follow(scene):
+            redraw(bpy.context)
+    except FacemimeError as error:
+        session.close()
+        show_error(str(error))
+    return _INTERVAL
+
+
 HANDLERS = {"frame_change_post": _show}
+TIMERS = (_follow,)

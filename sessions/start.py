@@ -8,7 +8,7 @@ from dataclasses import replace
 import bpy
 
 from ..blender.animation.live import Follow, LiveHeadObject
-from ..blender.animation.live_keys import KEYS, live_keys
+from ..blender.animation.live_keys import KEYS, live_keys, names_of
 from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.head_drivers import LiveHead
@@ -58,8 +58,11 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     if settings.posing.object is not None and len(objects) > 1:
         raise HeadError("One pose object cannot follow several heads. Clear Pose Object, or select a single head.")
     options = drive_settings(settings)
-    shown = [LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings)) for obj in objects]
-    keys = [_keys_of(scene, obj) for obj in objects]
+    keys = [keys_of(scene, obj) for obj in objects]
+    shown = [
+        LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings), names_of(own))
+        for obj, own in zip(objects, keys, strict=True)
+    ]
     heads = [
         (head, LiveHead(read_rig(head.obj), options, head.prepare, own)) for head, own in zip(shown, keys, strict=True)
     ]
@@ -101,7 +104,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     return session
 
 
-def _keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
+def keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
     """Return the keys that drive a head, using the mapping in the panel if it has rows and is requested."""
     choice = scene.facemime.drive_by
     bake = scene.facemime_takes.bake
@@ -143,8 +146,13 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
     worker, options = session.worker, drive_settings(settings)
     if session.drive_by != settings.drive_by:
         session.drive_by = settings.drive_by
-        shown = zip(worker.heads, session.objects, strict=True)
-        session.update([head if own.gone else replace(head, keys=_keys_of(scene, own.obj)) for head, own in shown])
+        heads = []
+        for head, shown in zip(worker.heads, session.objects, strict=True):
+            keys = head.keys if shown.gone else keys_of(scene, shown.obj)
+            heads.append(replace(head, keys=keys))
+            if not shown.gone:
+                shown.drive_by(names_of(keys))
+        session.update(heads)
     session.keep = settings.keep_pose
     if worker.options != (wanted := live_options(settings)):
         worker.options = wanted

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError
-from ..actions import Muted, mute_bake, mute_curves
 from ..characters import Member, members_of
 from ..meshes import exists
 from ..names import PART_PROPERTY
+from .aside import bake_of, curves, restore, set_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .live_mesh import LiveMesh, changed
+from .live_values import LiveValues
 from .targets import PoseTarget, carried_targets
 
 FlatMeshes = Sequence[NDArray[np.float32]]
@@ -45,6 +46,8 @@ class LiveHeadObject:
     targets : mapping
         "head", and optionally "eye_left" and "eye_right", which replace the eyes of `obj`.
     follow : Follow, optional
+    keys : tuple of str
+        The shape keys whose values show the performance, in the order of `HeadFrame.keys`; () for the live key.
 
     Raises
     ------
@@ -55,13 +58,13 @@ class LiveHeadObject:
     obj: bpy.types.Object
     targets: Mapping[str, PoseTarget]
     follow: Follow = field(default_factory=Follow)
+    keys: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         self._meshes = [LiveMesh(member) for member in members_of(self.obj)]
         self._name = self.obj.name
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
         self._carried = carried_targets(self.obj, self.targets["head"]) if "head" in self.targets else []
-        self._muted: list[Muted] = []
         self._shown = False
 
     @property
@@ -91,15 +94,31 @@ class LiveHeadObject:
             return
         for shown in self._living_meshes():
             shown.require_same()
+        family = [own for shown in self._living_meshes() if (own := shown.obj.data.shape_keys) is not None]
         for shown in self._living_meshes():
-            shown.attach()
-        self._muted = []
-        posed = [target.obj for target in (*self._carried, *self.targets.values()) if target.exists]
-        for owner in dict.fromkeys([self.obj, *(child for child, _ in self._living_parts()), *posed]):
-            self._muted += mute_curves(owner, "delta_") + mute_bake(owner)
-        for tongue in filter(has_tongue, (child for child, _ in self._living_parts())):
-            self._muted += mute_bake(tongue.data.shape_keys)
+            shown.attach(self._values_of(shown.obj.data, family) if self.keys else None)
+        for owner in self._owners():
+            set_aside(owner, [*curves(owner, lambda path: path.startswith("delta_")), *bake_of(owner)])
         self._shown = True
+
+    def _values_of(self, mesh: bpy.types.Mesh, family: list[bpy.types.Key]) -> LiveValues | None:
+        return None if mesh.shape_keys is None else LiveValues(mesh, self.keys, family)
+
+    def _owners(self) -> list[bpy.types.ID]:
+        """Return the data-blocks whose animation is set aside: of the pose, and of the tongue."""
+        parts = [child for child, _ in self._living_parts()]
+        posed = [target.obj for target in (*self._carried, *self.targets.values()) if target.exists]
+        tongues = [tongue.data.shape_keys for tongue in filter(has_tongue, parts)]
+        return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues]))
+
+    def drive_by(self, keys: tuple[str, ...]) -> None:
+        """Show the following frames by the values of these keys, or by the live key if there are none."""
+        if keys != self.keys:
+            shown = self._shown
+            self.detach(keep=False, blocks=False)
+            self.keys = keys
+            if shown:
+                self.attach()
 
     def write(self, frame: HeadFrame, flat: FlatMeshes | None = None) -> None:
         """Display a frame; does nothing in Edit Mode, and skips parts that were deleted.
@@ -129,9 +148,10 @@ class LiveHeadObject:
                     f"The object or bone chosen as {label} was deleted. Choose another one in Puppet > "
                     "Head and Eyes, or clear that field, and start again."
                 )
-        for shown, positions in zip(self._meshes, self.prepare(frame) if flat is None else flat, strict=True):
-            if not shown.gone:
-                shown.write(positions)
+        if len(frame.keys) == len(self.keys):  # otherwise it was computed before the way of driving was changed
+            for shown, positions in zip(self._meshes, self.prepare(frame) if flat is None else flat, strict=True):
+                if not shown.gone:
+                    shown.write(positions, frame.keys)
         rotation = frame.rotation if self.follow.rotation else None
         translation = frame.translation if self.follow.translation else None
         for target in self._carried:
@@ -163,9 +183,8 @@ class LiveHeadObject:
         if not self._shown:
             return False
         self._shown = False
-        for muted in self._muted:
-            muted.unmute()
-        self._muted = []
+        for owner in self._owners():
+            restore(owner)
         removed = [shown.detach(keep=keep, blocks=blocks and not self._goes(shown)) for shown in self._meshes]
         if keep:
             return False

@@ -43,3 +43,8 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     used = [name for name in chosen.keys if name in keys.names]
     offsets = dict(zip(keys.names, keys.offsets, strict=True))
     return LiveKeys(chosen, {name: offsets[name] for name in used}, {name: keys.ranges[name] for name in used})
+
+
+def names_of(keys: LiveKeys | None) -> tuple[str, ...]:
+    """Return the names of the shape keys that drive a head, in the order of `HeadFrame.keys`; () for its skin."""
+    return () if keys is None else tuple(keys.offsets)

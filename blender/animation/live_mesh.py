@@ -1,4 +1,4 @@
-"""A mesh during a session: displayed by one shape key, and restored at the end.
+"""A mesh during a session: displayed by one shape key, or by the values of its own, and restored at the end.
 
 The rest shape is in the Basis and is never written, so that the mesh itself is safe whatever happens to the session (a
 crash, an undo, a file saved while it runs).
@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
-from functools import partial
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
-from ..actions import Muted, baked_paths
+from ..actions import baked_paths
 from ..characters import Member
 from ..frames import flat_in_blender
 from ..meshes import exists, mesh_of, read_vertices, write_vertices
-from ..names import LIVE_PROPERTY
-from .bake_cache import MODIFIER
+from ..names import LIVE_PROPERTY, VALUES_PROPERTY
+from .aside import display_of, keys, restore, restore_all, set_aside
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
+from .live_values import LiveValues, clear_values
 
 LIVE_KEY = "Facemime Live"
 _HAD_KEYS, _MADE_KEYS = 1, 2
@@ -54,9 +54,7 @@ class LiveMesh:
         self._mesh = mesh
         self._count = len(mesh.vertices)
         self._rest: NDArray[np.float32] | None = None
-        self._muted: list[Muted] = []
-        self._pinned = False
-        self._cache_played = (False, False)
+        self._values: LiveValues | None = None
         self._shown = False
 
     @property
@@ -64,8 +62,14 @@ class LiveMesh:
         """Whether the object was deleted."""
         return not exists(self.obj)
 
-    def attach(self) -> None:
-        """Add the live shape key, and mute the keys and the cache of an earlier bake.
+    def attach(self, values: LiveValues | None = None) -> None:
+        """Add the live shape key, or take over the values of the mesh's own keys; mute the keys and the cache of an
+        earlier bake.
+
+        Parameters
+        ----------
+        values : LiveValues, optional
+            The keys that display the performance instead of the live key.
 
         Raises
         ------
@@ -73,6 +77,20 @@ class LiveMesh:
             If the mesh was replaced or changed so that it can no longer be driven.
         """
         self.require_same()
+        self._values = values
+        if values is None:
+            self._add_live_key()
+        if (own := self._mesh.shape_keys) is not None:
+            baked = baked_paths(own) if values is None else set()
+            names = [key.name for key in own.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]
+            names += [key.name for key in own.key_blocks if value_path(key.name) in baked]
+            set_aside(own, keys(name for name in dict.fromkeys(names) if name != LIVE_KEY))
+        if values is not None:
+            values.attach()
+        set_aside(self.obj, display_of(self.obj))
+        self._shown = True
+
+    def _add_live_key(self) -> None:
         if not self._mesh.is_editmode:
             self._rest = read_vertices(self._mesh)
         if self._mesh.shape_keys is None:
@@ -81,22 +99,16 @@ class LiveMesh:
         elif LIVE_PROPERTY not in self._mesh:
             self._mesh[LIVE_PROPERTY] = _HAD_KEYS
         self._key().value = 1.0  # Edit Mode restores a key that was removed, with value 0
-        keys = self._mesh.shape_keys
-        baked = baked_paths(keys)
-        names = [
-            key.name
-            for key in keys.key_blocks
-            if key.name != LIVE_KEY and (key.name.startswith(BAKED_KEY_PREFIX) or value_path(key.name) in baked)
-        ]
-        self._muted = Muted.all_of([partial(_find_key, keys, name) for name in names])
-        self._pinned, self.obj.show_only_shape_key = self.obj.show_only_shape_key, False
-        if (cache := self.obj.modifiers.get(MODIFIER)) is not None:
-            self._cache_played = (cache.show_viewport, cache.show_render)
-            cache.show_viewport = cache.show_render = False
-        self._shown = True
 
-    def write(self, flat: NDArray[np.float32]) -> None:
-        """Display positions, (3 V,) float32 as `Member.local` returns them; does nothing in Edit Mode.
+    def write(self, flat: NDArray[np.float32], amounts: NDArray[np.float64]) -> None:
+        """Display a frame; does nothing in Edit Mode.
+
+        Parameters
+        ----------
+        flat : (3 V,) float32
+            Positions, as `Member.local` returns them.
+        amounts : (K,) float64
+            Values of the shape keys that drive the head.
 
         Raises
         ------
@@ -106,6 +118,9 @@ class LiveMesh:
         if self.obj.mode == "EDIT":
             return
         self.require_same()
+        if self._values is not None:
+            self._values.write(amounts)
+            return
         self._key().points.foreach_set("co", flat)
         self._mesh.update_tag()
 
@@ -114,23 +129,21 @@ class LiveMesh:
         if not self._shown:
             return False
         self._shown = False
-        for muted in self._muted:
-            muted.unmute()
-        self._muted = []
-        if not self.gone and (cache := self.obj.modifiers.get(MODIFIER)) is not None:
-            cache.show_viewport, cache.show_render = self._cache_played
+        if self._values is not None:
+            self._values.detach(keep=keep)
+        if not self.gone:
+            restore(self.obj)
+        if exists(self._mesh) and self._mesh.shape_keys is not None:
+            restore(self._mesh.shape_keys)
         if keep:
             if exists(self._mesh):
                 self._mesh.pop(LIVE_PROPERTY, None)
             return False
-        removed = False
-        if exists(self._mesh):
-            # A mesh without users is not saved, and a single undo step restores a deleted head.
-            deleted = self.gone and not self._mesh.users
-            removed = clear_live(self._mesh, self.obj, self._rest, blocks=blocks and not deleted)
-        if not self.gone and self.obj.data == self._mesh:
-            self.obj.show_only_shape_key = self._pinned
-        return removed
+        if not exists(self._mesh) or self._values is not None:
+            return False
+        # A mesh without users is not saved, and a single undo step restores a deleted head.
+        deleted = self.gone and not self._mesh.users
+        return clear_live(self._mesh, self.obj, self._rest, blocks=blocks and not deleted)
 
     def require_same(self) -> None:
         """Raise HeadError if the mesh was replaced, or changed so that it can no longer be driven."""
@@ -200,6 +213,10 @@ def clear_all_live(*, blocks: bool) -> bool:
     bool
         Whether a data-block was removed, as for `clear_live`.
     """
+    restore_all()
+    for own in bpy.data.shape_keys:
+        if VALUES_PROPERTY in own and own.library is None:
+            clear_values(own)
     meshes = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None]
     removed = [clear_live(mesh, blocks=blocks) for mesh in meshes]
     return any(removed)
@@ -209,11 +226,6 @@ def _basis_lost(mesh: bpy.types.Mesh) -> bool:
     """Return whether the Basis was deleted, so that the live key has become the reference key."""
     keys = mesh.shape_keys
     return keys is not None and keys.reference_key.name == LIVE_KEY
-
-
-def _find_key(keys: bpy.types.Key, name: str) -> bpy.types.ShapeKey | None:
-    """Return the key of that name. A bound `keys.key_blocks.get` would not notice that the data-block was deleted."""
-    return keys.key_blocks.get(name)
 
 
 def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:

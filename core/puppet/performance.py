@@ -55,6 +55,6 @@ class Performance:
         take = smooth_take(take, settings.smoothing)
         return cls(take, calibrate(take, settings.neutral), settings.drive)
 
-    def driver(self, rig: HeadRig) -> HeadDriver:
-        """Create the driver of a head for this performance."""
-        return HeadDriver(rig, self.neutral, self.settings)
+    def driver(self, rig: HeadRig, reuse: HeadDriver | None = None) -> HeadDriver:
+        """Create the driver of a head for this performance; `reuse` as for `HeadDriver`."""
+        return HeadDriver(rig, self.neutral, self.settings, reuse=reuse)

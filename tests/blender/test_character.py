@@ -9,7 +9,7 @@ from mathutils import Matrix, Vector
 from thorough import first_of
 
 from commands import run
-from facemime.blender.actions import _existing
+from facemime.blender.actions import curves_of
 from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
@@ -254,7 +254,7 @@ def test_muting_a_bone_keeps_its_keyframes_through_two_bakes():
         puppet_head(bpy.context.scene, head, performance())
     remove_baked(head, own_targets(head))
     assert not armature.animation_data.nla_tracks
-    for curve in _existing(armature):
+    for curve in curves_of(armature):
         assert curve.mute
         curve.mute = False
     np.testing.assert_allclose(_turn_at(armature, 40)[:2], (0.9, 0.3), atol=1e-6)
@@ -324,7 +324,7 @@ def test_commands_animate_the_bone_that_was_chosen_in_the_file(command, tmp_path
     (written,) = out.glob("*.blend")
     bpy.ops.wm.open_mainfile(filepath=str(written))
     armature = next(obj for obj in bpy.data.objects if obj.type == "ARMATURE")
-    assert {curve.data_path.split('"')[1] for curve in _existing(armature)} == {"Spine"}
+    assert {curve.data_path.split('"')[1] for curve in curves_of(armature)} == {"Spine"}
     turns = {name: [] for name in ("Spine", "Head")}
     for frame in range(1, 13):
         bpy.context.scene.frame_set(frame)

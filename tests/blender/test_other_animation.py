@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 import pytest
 
-from facemime.blender.actions import _existing
+from facemime.blender.actions import curves_of
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.underneath import mute_under, playing_under
 from facemime.blender.heads.built_in import add_head
@@ -36,7 +36,7 @@ def test_an_action_under_a_bake_is_reported_and_muted_while_the_bake_plays(head)
     assert mute_under(head) == 1 and playing_under(head) == []
     before = value_at(head, 2)
     assert value_at(head, 8) == before, "the idle key stands still"
-    curves = {curve.data_path: curve for curve in _existing(head.data.shape_keys)}
+    curves = {curve.data_path: curve for curve in curves_of(head.data.shape_keys)}
     assert curves['key_blocks["idle"].value'].mute
     assert len(curves) > 1 and not any(curve.mute for path, curve in curves.items() if "idle" not in path)
 

@@ -1,0 +1,101 @@
+"""The values of a mesh's own shape keys during a session: set by the performance, and restored at the end.
+
+The values themselves are set, rather than a shape that looks the same, so that the user's drivers, correctives and
+sliders follow. The values before are kept in a custom property of the data-block, and restored from there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping, Sequence
+
+import bpy
+import numpy as np
+
+from ..meshes import exists
+from ..names import VALUES_PROPERTY
+from .aside import curves, drivers, restore, set_aside
+from .bake_keys import value_path
+
+
+class LiveValues:
+    """Shape keys of a mesh that display a performance.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+        A mesh with shape keys.
+    names : sequence of str
+        The driven keys of the head; those that the mesh does not have are left out.
+    family : collection of bpy.types.Key
+        The shape keys of all meshes of the head. A driver that reads one of them follows it and is left alone.
+    """
+
+    def __init__(self, mesh: bpy.types.Mesh, names: Sequence[str], family: Iterable[bpy.types.Key]) -> None:
+        self._keys = mesh.shape_keys
+        following = _followers(self._keys, set(family))
+        blocks = self._keys.key_blocks
+        self._places = {
+            blocks.find(name): number
+            for number, name in enumerate(names)
+            if name in blocks and value_path(name) not in following
+        }
+        self._names = [names[number] for number in self._places.values()]
+
+    def attach(self) -> None:
+        """Remember the values, and set aside what animates or drives them."""
+        blocks = self._keys.key_blocks
+        if VALUES_PROPERTY not in self._keys:
+            self._keys[VALUES_PROPERTY] = json.dumps({name: blocks[name].value for name in self._names})
+        paths = {value_path(name) for name in self._names}
+        animated = curves(self._keys, paths.__contains__)
+        set_aside(self._keys, [*animated, *drivers(self._keys, lambda driver: driver.data_path in paths)])
+
+    def write(self, values: np.ndarray) -> None:
+        """Set the values, (K,) in the order of the names."""
+        blocks = self._keys.key_blocks
+        every = np.empty(len(blocks), dtype=np.float32)
+        blocks.foreach_get("value", every)
+        wanted = every.copy()
+        for place, number in self._places.items():
+            wanted[place] = values[number]
+        if not np.array_equal(every, wanted):
+            blocks.foreach_set("value", wanted)
+            first = blocks[next(iter(self._places))]
+            first.value = first.value  # a bulk write does not update the scene
+
+    def detach(self, *, keep: bool) -> None:
+        """Restore the values, or leave them as they are if `keep`, and what was set aside."""
+        if not exists(self._keys):
+            return
+        if keep:
+            self._keys.pop(VALUES_PROPERTY, None)
+        clear_values(self._keys)
+        restore(self._keys)
+
+
+def clear_values(keys: bpy.types.Key) -> None:
+    """Restore the values that shape keys had before a session, even one that ended in a crash."""
+    for name, value in _kept(keys).items():
+        if (block := keys.key_blocks.get(name)) is not None:
+            block.value = value
+    keys.pop(VALUES_PROPERTY, None)
+
+
+def _kept(keys: bpy.types.Key) -> Mapping[str, float]:
+    try:
+        values = json.loads(str(keys.get(VALUES_PROPERTY, "{}")))
+    except ValueError:
+        return {}
+    return {name: value for name, value in values.items() if isinstance(value, (int, float))}
+
+
+def _followers(keys: bpy.types.Key, family: set[bpy.types.Key]) -> set[str]:
+    """Return the data paths of values that a driver computes from a shape key of `family`."""
+    data = keys.animation_data
+    return set() if data is None else {driver.data_path for driver in data.drivers if _reads(driver, family)}
+
+
+def _reads(driver: bpy.types.FCurve, family: set[bpy.types.Key]) -> bool:
+    targets = [target for variable in driver.driver.variables for target in variable.targets]
+    return any(target.id in family and target.data_path.startswith("key_blocks[") for target in targets)
