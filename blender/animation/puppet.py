@@ -150,7 +150,7 @@ def puppet_head(
     plan.write()
     follow = {"rotation": settings.rotation, "translation": settings.translation}
     clean = (bake.clean, bake.clean * unit) if bake.clean > 0.0 else None
-    bake_pose(obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
+    bake_pose(scene, obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
     set_range(scene, frames_of(scene, take.times))
     if bake.keys == "alembic":
         export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
