@@ -8,9 +8,9 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..blender.animation.bake import set_range
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import KEYS, live_keys
+from ..blender.animation.scene_range import fit_range
 from ..blender.meshes import driven_by_keys
 from ..blender.rigs import read_rig
 from ..blender.timeline import frames_of, seconds_of
@@ -20,7 +20,7 @@ from ..core.errors import HeadError
 from ..core.live.key_driver import KeyDriver
 from ..core.puppet.performance import Performance
 from ..core.takes.take import Take
-from ..settings.values import pose_targets, puppet_settings
+from ..settings.values import place_take, pose_targets, puppet_settings
 from .session import Session
 
 
@@ -30,7 +30,7 @@ def _driver(performance: Performance, obj: bpy.types.Object) -> HeadDriver | Key
 
 
 class TakeShow(Session):
-    """Displays a take on heads at the current frame until `close`; the scene's frame range becomes that of the take.
+    """Displays a take on heads at the current frame until `close`, in time with a bake.
 
     Parameters
     ----------
@@ -62,7 +62,9 @@ class TakeShow(Session):
         self._take = performance.take.part(performance.take.found)
         self._scene = scene.name
         super().__init__()
-        set_range(scene, frames_of(scene, take.times))
+        bake = scene.facemime_takes.bake
+        self._start = place_take(scene)
+        fit_range(scene, frames_of(scene, take.times, self._start), bake.start, asked=bake.fit_range)
         self.resume()
         push_undo("Preview on Head")
 
@@ -70,7 +72,7 @@ class TakeShow(Session):
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""
         if scene.name != self._scene:
             return
-        result = self._take.result(int(np.abs(self._take.times - seconds_of(scene)).argmin()))
+        result = self._take.result(int(np.abs(self._take.times - seconds_of(scene, self._start)).argmin()))
         require_one_left([shown for shown, _ in self._heads])
         for shown, driver in self._heads:
             if not shown.gone:

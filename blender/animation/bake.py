@@ -219,16 +219,3 @@ def show_tongue(part: bpy.types.Object, amount: float) -> None:
     """
     if has_tongue(part):
         part.data.shape_keys.key_blocks[TONGUE_KEY].value = amount
-
-
-def set_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> None:
-    """Set the frame range of `scene` to contain all of `frames`, (N,) increasing.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    frames : (N,) array
-        Increasing.
-    """
-    scene.frame_start = int(np.floor(frames[0] + 1e-3))
-    scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))
