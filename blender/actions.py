@@ -89,13 +89,11 @@ def check_curves(owner: bpy.types.ID, paths: Sequence[str]) -> None:
     Raises
     ------
     HeadError
-        If one of them has animation or a driver that Facemime did not make, or the action is linked.
+        If one of them has animation or a driver that Facemime did not make.
     """
     data = owner.animation_data
     if data is None:
         return
-    if data.action is not None and data.action.library is not None:
-        raise HeadError(f"The action {data.action.name} of {owner.name} is linked from another file. Make it local.")
     if taken := animated_paths(owner, paths):
         raise HeadError(
             f"{owner.name} already has animation in {taken[0]}, which the bake would replace. "
@@ -116,7 +114,32 @@ def animated_paths(owner: bpy.types.ID, paths: Sequence[str]) -> list[str]:
         return []
     driven = {driver.data_path for driver in data.drivers if not driver.mute}
     animated = {curve.data_path for curve in curves_of(owner) if not curve.mute} - _owned(data.action)
+    animated |= {path for strip in strips_of(owner) for path in _paths_in(strip)}
     return [path for path in paths if path in driven | animated and not path.startswith(_KEYS)]
+
+
+def curve_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths of all curves and drivers of `owner`, even of muted ones."""
+    data = owner.animation_data
+    return set() if data is None else {curve.data_path for curve in (*curves_of(owner), *data.drivers)}
+
+
+def _paths_in(strip: bpy.types.NlaStrip) -> set[str]:
+    """Return the data paths that a strip animates."""
+    if strip.action is None:
+        return set()
+    return {
+        curve.data_path for curve in _curves_in(strip.action, getattr(strip, "action_slot", None)) if not curve.mute
+    }
+
+
+def strips_of(owner: bpy.types.ID) -> list[bpy.types.NlaStrip]:
+    """Return the NLA strips that play and that no bake wrote."""
+    data = owner.animation_data
+    if data is None or not data.use_nla:
+        return []
+    tracks = [track for track in data.nla_tracks if not track.mute]
+    return [strip for track in tracks for strip in track.strips if not strip.mute and not _owned(strip.action)]
 
 
 def _muted_paths(owner: bpy.types.ID) -> set[str]:
@@ -280,11 +303,16 @@ def curves_of(owner: bpy.types.ID):
     data = owner.animation_data
     if data is None or data.action is None:
         return ()
-    if not hasattr(data.action, "slots"):
-        return data.action.fcurves
-    if data.action_slot is None or not data.action.layers or not data.action.layers[0].strips:
+    return _curves_in(data.action, getattr(data, "action_slot", None))
+
+
+def _curves_in(action: bpy.types.Action, slot):
+    """Return the curves of a slot, or of an action without slots; nothing is created."""
+    if not hasattr(action, "slots"):
+        return action.fcurves
+    if slot is None or not action.layers or not action.layers[0].strips:
         return ()
-    bag = data.action.layers[0].strips[0].channelbag(data.action_slot)
+    bag = action.layers[0].strips[0].channelbag(slot)
     return () if bag is None else bag.fcurves
 
 

@@ -13,7 +13,7 @@ from functools import cached_property
 import bpy
 import cv2
 import numpy as np
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..core import linalg
@@ -24,6 +24,7 @@ from ..core.heads.parts import FaceParts, Part
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
 from .meshes import can_be_driven, driven_by_keys, read_faces, read_vertices
 from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
+from .own_pose import own_mode, own_pose
 
 _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
 """Parts whose vertices move within the head."""
@@ -257,8 +258,8 @@ def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones
 
 
 def rest_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
-    """Return the (3, 3) rotation of `obj` in the world, without scales, delta transforms and poses of bones."""
-    return np.asarray(parent_rotation(obj) @ np.array(own_rotation(obj)))
+    """Return the (3, 3) rotation of `obj` in the world, without scales, performances and poses of bones."""
+    return np.asarray(parent_rotation(obj) @ np.array(placed_rotation(obj)))
 
 
 def parent_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
@@ -272,8 +273,9 @@ def parent_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
 
 
 def rest_matrix(obj: bpy.types.Object) -> Matrix:
-    """Return the (4, 4) transform of `obj` in the world, without delta transforms and poses of bones."""
-    return parent_matrix(obj) @ Matrix.LocRotScale(obj.location, own_rotation(obj), obj.scale)
+    """Return the (4, 4) transform of `obj` in the world, without performances and poses of bones."""
+    location = obj.location + own_pose(obj).location
+    return parent_matrix(obj) @ Matrix.LocRotScale(location, placed_rotation(obj), placed_scale(obj))
 
 
 def parent_matrix(obj: bpy.types.Object) -> Matrix:
@@ -286,11 +288,22 @@ def parent_matrix(obj: bpy.types.Object) -> Matrix:
     return carried @ obj.matrix_parent_inverse
 
 
+def placed_scale(obj: bpy.types.Object) -> Vector:
+    """Return the scale of `obj` relative to its parent, including its delta scale."""
+    return obj.scale * obj.delta_scale
+
+
+def placed_rotation(obj: bpy.types.Object) -> Matrix:
+    """Return the (3, 3) rotation of `obj` relative to its parent, including the user's delta rotation."""
+    return own_pose(obj).rotation @ own_rotation(obj)
+
+
 def own_rotation(obj: bpy.types.Object) -> Matrix:
     """Return the (3, 3) rotation of `obj` relative to its parent, without its delta rotation."""
-    if obj.rotation_mode == "QUATERNION":
+    mode = own_mode(obj)
+    if mode == "QUATERNION":
         return obj.rotation_quaternion.normalized().to_matrix()
-    if obj.rotation_mode == "AXIS_ANGLE":
+    if mode == "AXIS_ANGLE":
         angle, *axis = obj.rotation_axis_angle
         return Matrix.Rotation(angle, 3, axis)
     return obj.rotation_euler.to_matrix()

@@ -8,9 +8,12 @@ run otherwise, and not while a session has threads.
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import bpy
+
+from ..core.errors import HeadError
 
 
 def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManager[object]:
@@ -25,3 +28,34 @@ def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManage
     windows = context.window_manager.windows
     wanted = window or context.window or (windows[0] if windows else None)
     return nullcontext() if wanted == context.window else context.temp_override(window=wanted)
+
+
+def scene_of(obj: bpy.types.Object) -> bpy.types.Scene:
+    """Return the scene that has an object: the one of the context if that has it.
+
+    Raises
+    ------
+    HeadError
+        If no scene has it.
+    """
+    current = bpy.context.scene
+    if obj.name in current.objects and current.objects[obj.name] == obj:
+        return current
+    if obj.users_scene:
+        return obj.users_scene[0]
+    raise HeadError(f"{obj.name} is in no scene. Link it to a collection of a scene.")
+
+
+@contextmanager
+def showing_scene(scene: bpy.types.Scene) -> Iterator[None]:
+    """Show a scene for a while, so that the context has it: its objects are evaluated and operators find them."""
+    window = bpy.context.window or next(iter(bpy.context.window_manager.windows), None)
+    before = None if window is None else window.scene
+    if before in (None, scene):
+        yield
+        return
+    window.scene = scene
+    try:
+        yield
+    finally:
+        window.scene = before

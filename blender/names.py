@@ -42,6 +42,12 @@ ARMATURE_PROPERTY, BONES_PROPERTY = "facemime_armature", "facemime_bones"
 PIVOT_PROPERTY = "facemime_pivot"
 """Custom property of a head: the point about which it turns, in the axes of the object; its origin if missing."""
 
+RANGE_PROPERTY = "facemime_range"
+"""Custom property of a scene: the frame range of the last take, to which Facemime set the scene's."""
+
+OWN_POSE_PROPERTY = "facemime_own_pose"
+"""Custom property of an object or a pose bone that a performance poses: the user's own location and rotation."""
+
 REGION_GROUPS = ("Facemime Upper", "Facemime Middle", "Facemime Lower")
 """Vertex groups of the three regions, in the order of `core.heads.regions.REGIONS`."""
 

@@ -65,6 +65,10 @@ const JOB_TYPE = {
           description: "error allowed when removing keyframes, relative to the eye distance; 0 keeps every frame (0)" },
         { key: "nla", type: "bool", default: false,
           description: "put the animation on an NLA track instead of the active action" },
+        { key: "start", type: "string", choices: ["first", "current", "scene"], default: "first",
+          description: "frame of the scene at which the take starts (first)" },
+        { key: "fit_range", type: "bool", default: false,
+          description: "set the scene's frame range to that of the take even if the scene has its own range or other animation" },
         { key: "map", type: "string", default: "",
           description: "key mapping for --keys mapped (the preset that matches the head best)" },
         // End of options
@@ -100,6 +104,8 @@ const OPTIONS = [
     "max-keys",
     "clean",
     "nla",
+    "start",
+    "fit-range",
     "map",
     // End of options
 ];

@@ -17,7 +17,7 @@ from ..sessions.session import Session
 from ..settings import takes_store
 from ..settings.bake_table import read_table, write_table
 from ..settings.takes_properties import FacemimeBake
-from ..settings.values import bake_settings, drive_settings, pose_targets, puppet_settings
+from ..settings.values import bake_settings, drive_settings, place_take, pose_targets, puppet_settings, take_start
 from .shared import (
     AsksForFile,
     AsksForFileToWrite,
@@ -54,6 +54,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         heads = heads_in(context)
         settings = puppet_settings(scene.facemime, bake_settings(scene.facemime_takes.bake, line.name))
         targets = pose_targets(scene.facemime.posing, heads[0])
+        place_take(scene)
         with reporting_range(self, scene):
             bake, *_ = puppet_heads(scene, heads, take, settings, targets)
         frames, summary = len(bake.motion.times), bake.summary()
@@ -171,7 +172,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         scene, blocks = context.scene, subject(context).data.shape_keys.key_blocks
         take = takes_store.read(takes_store.chosen(scene))
-        frames = frames_of(scene, take.times[take.found])
+        frames = frames_of(scene, take.times[take.found], take_start(scene))
         coefficients = arkit_coefficients(take, calibrate(take), drive_settings(scene.facemime))
         current = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
         values = {name: blocks[name].value for name in key_names(subject(context))}

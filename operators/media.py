@@ -10,6 +10,7 @@ from ..blender.media.sound import add_sound
 from ..blender.timeline import rate_of
 from ..core.errors import SourceError
 from ..settings import takes_store
+from ..settings.values import take_start
 from .shared import AsksForFile, heads_in, require_heads
 from .takes import OnTake
 
@@ -50,7 +51,7 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
         scene = context.scene
         path, offset = self.video(scene)
         sound = path if self.filepath else takes_store.sound_beside(path)
-        add_sound(scene, sound, 1.0 - offset * rate_of(scene))
+        add_sound(scene, sound, take_start(scene) - offset * rate_of(scene))
 
 
 class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
@@ -67,7 +68,8 @@ class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
         return require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        add_reference(context.scene, *self.video(context.scene), heads_in(context)[0])
+        scene = context.scene
+        add_reference(scene, *self.video(scene), heads_in(context)[0], take_start(scene))
 
 
 CLASSES = (FACEMIME_OT_add_sound, FACEMIME_OT_add_reference)

@@ -5,6 +5,7 @@ from bpy.props import FloatProperty, IntProperty
 
 from ..blender.timeline import seconds_at
 from ..settings import takes_store
+from ..settings.values import take_start
 from .puppet import require_puppet, running
 from .shared import require
 from .take_edits import BLEND_PROPERTY
@@ -49,7 +50,7 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
-        start, end = (seconds_at(scene, frame) for frame in (self.start, self.end))
+        start, end = (seconds_at(scene, frame, take_start(scene)) for frame in (self.start, self.end))
         running().rerecord(scene, takes_store.chosen(scene).path, start, end, lead=self.lead, blend=self.blend)
 
 

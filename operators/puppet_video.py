@@ -11,7 +11,7 @@ from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
 from ..settings import takes_store
-from ..settings.values import face_of, pose_targets, puppet_settings
+from ..settings.values import face_of, placing_of, pose_targets, puppet_settings
 from .shared import AsksForFile, heads_in, report, reporting_range, require_heads, require_object_mode
 from .steps import ShowsProgress
 
@@ -101,7 +101,8 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         settings = context.scene.facemime
         targets = None if head is None else pose_targets(settings.posing, head)
         with reporting_range(self, context.scene):
-            bake, *_ = puppet_heads(context.scene, _heads(context, head), take, puppet_settings(settings), targets)
+            driven = puppet_settings(settings, placing_of(context.scene))
+            bake, *_ = puppet_heads(context.scene, _heads(context, head), take, driven, targets)
         lost = len(take) - int(take.found.sum())
         frames, summary = len(take), bake.summary()
         report(self, f"{frames} frames ({lost} without a face), {summary}")

@@ -14,6 +14,7 @@ from ..core.takes.timing import punch_in, restart, shift_time, trim
 from ..core.timecode import timecode
 from ..settings import takes_store
 from ..settings.rna import read, with_settings
+from ..settings.values import take_start
 from .shared import require
 from .takes import OnTake
 
@@ -86,13 +87,14 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
 
     def kept(self, scene: bpy.types.Scene) -> tuple[float, float]:
         """Return the range that is kept, seconds from the first frame of the take; it may extend beyond its end."""
+        start = take_start(scene)
         if self.keep == "TIMELINE":
             frames = frame_range(scene)
-            return seconds_at(scene, frames.start), seconds_at(scene, frames.stop - 1)
+            return seconds_at(scene, frames.start, start), seconds_at(scene, frames.stop - 1, start)
         if self.keep == "FROM":
-            return seconds_of(scene), math.inf
+            return seconds_of(scene, start), math.inf
         if self.keep == "TO":
-            return 0.0, seconds_of(scene)
+            return 0.0, seconds_of(scene, start)
         return self.start, self.end
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
@@ -121,8 +123,8 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
     bl_label = "Set Neutral at Frame"
 
     def work(self, context: bpy.types.Context) -> None:
-        line = takes_store.chosen(context.scene)
-        takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(context.scene)))
+        line, scene = takes_store.chosen(context.scene), context.scene
+        takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(scene, take_start(scene))))
 
 
 class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
@@ -146,7 +148,7 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
         """Show the dialog; by default the newest other take is inserted at the current frame."""
         selected = takes_store.chosen(context.scene)
         self.other = [line.name for line in context.scene.facemime_takes.items if line != selected][-1]
-        self.start = max(0.0, seconds_of(context.scene))
+        self.start = max(0.0, seconds_of(context.scene, take_start(context.scene)))
         return super().invoke(context, event)
 
     def draw(self, context: bpy.types.Context) -> None:

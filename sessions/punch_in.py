@@ -13,6 +13,7 @@ from ..core.errors import FacemimeError
 from ..core.takes.file import load_take
 from ..core.takes.timing import punch_in, shift_time
 from ..settings import takes_store
+from ..settings.values import take_start
 from .recording import Recording
 
 
@@ -64,7 +65,7 @@ class PunchIn:
         self._sync_mode = scene.sync_mode
         self._begin = perf_counter() + lead
         scene.sync_mode = "AUDIO_SYNC"
-        scene.frame_set(round(frames_of(scene, start - lead)))
+        scene.frame_set(round(frames_of(scene, start - lead, take_start(scene))))
         screen = bpy.context.screen
         if screen is not None and not screen.is_animation_playing:
             bpy.ops.screen.animation_play()

@@ -9,9 +9,9 @@ import bpy
 import numpy as np
 from bpy.app.handlers import persistent
 
-from ..blender.animation.bake import set_range
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import names_of
+from ..blender.animation.scene_range import fit_range
 from ..blender.messages import show_error
 from ..blender.registering import watch
 from ..blender.rigs import read_rig
@@ -24,7 +24,7 @@ from ..core.live.key_driver import KeyDriver, LiveKeys
 from ..core.puppet.performance import Performance
 from ..core.puppet.settings import PuppetSettings
 from ..core.takes.take import Take
-from ..settings.values import pose_targets, puppet_settings
+from ..settings.values import place_take, pose_targets, puppet_settings
 from .session import Session
 from .start import keys_of
 
@@ -48,7 +48,7 @@ class _Wanted:
 
 
 class TakeShow(Session):
-    """Displays a take on heads at the current frame until `close`; the scene's frame range becomes that of the take.
+    """Displays a take on heads at the current frame until `close`, in time with a bake.
 
     Parameters
     ----------
@@ -79,7 +79,9 @@ class TakeShow(Session):
         self._drivers = [self._driver(obj, own, None) for obj, own in zip(objects, keys, strict=True)]
         self._scene = scene.name
         super().__init__()
-        set_range(scene, frames_of(scene, take.times))
+        bake = scene.facemime_takes.bake
+        self._start = place_take(scene)
+        fit_range(scene, frames_of(scene, take.times, self._start), bake.start, asked=bake.fit_range)
         self.resume()
         push_undo("Preview on Head")
         watch(_follow, _INTERVAL)
@@ -126,7 +128,7 @@ class TakeShow(Session):
         if scene.name != self._scene:
             return
         take = self._performance.take
-        away = np.where(take.found, np.abs(take.times - seconds_of(scene)), np.inf)
+        away = np.where(take.found, np.abs(take.times - seconds_of(scene, self._start)), np.inf)
         result = take.result(int(away.argmin()))
         require_one_left(self._heads)
         for shown, driver in zip(self._heads, self._drivers, strict=True):

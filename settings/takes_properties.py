@@ -54,6 +54,9 @@ class FacemimeKeyPose(bpy.types.PropertyGroup):
 class FacemimeBake(bpy.types.PropertyGroup):
     """Settings of the bake, and the key mapping."""
 
+    placed: IntProperty(
+        name="Frame", description="Frame at which the last take started at the current frame", default=1
+    )
     table: StringProperty(name="Mapping", description="Name of the key mapping")
     rows: CollectionProperty(type=FacemimeKeyRow)
     row: IntProperty(name="Row", min=0)

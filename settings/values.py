@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 
 import bpy
 
+from ..blender.animation.scene_range import start_frame
 from ..blender.animation.targets import PoseTarget, own_targets
 from ..core.assets import ASSETS
-from ..core.bake.settings import AUTOMATIC, BakeSettings
+from ..core.bake.settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
 from ..core.capture import is_address
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.errors import FacemimeError, SourceError
@@ -88,6 +89,27 @@ def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
     """
     table = read_table(bake) if bake.keys in (AUTOMATIC, "mapped") and len(bake.rows) else None
     return read(BakeSettings, bake, table=table, path=project_folder("caches") / bpy.path.clean_name(name))
+
+
+def placing_of(scene: bpy.types.Scene) -> BakeSettings:
+    """Return the default settings of a bake with the user's choice of its place in the scene."""
+    bake = scene.facemime_takes.bake
+    place_take(scene)
+    return BakeSettings(start=bake.start, fit_range=bake.fit_range)
+
+
+def place_take(scene: bpy.types.Scene) -> float:
+    """Return the frame at 0 s of a take that is baked or previewed, and remember it if that is the current frame."""
+    bake = scene.facemime_takes.bake
+    if bake.start == CURRENT_FRAME:
+        bake.placed = scene.frame_current
+    return take_start(scene)
+
+
+def take_start(scene: bpy.types.Scene) -> float:
+    """Return the frame at 0 s of a take, at which the last one was placed if it started at the current frame."""
+    bake = scene.facemime_takes.bake
+    return float(bake.placed) if bake.start == CURRENT_FRAME else start_frame(scene, bake.start)
 
 
 def face_of(source: FacemimeSource) -> tuple[float, float] | None:

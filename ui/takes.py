@@ -127,6 +127,8 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column = layout.column()
         column.active = bake.keys not in ("cache", "alembic")
         column.prop(bake, "clean")
+        layout.prop(bake, "start")
+        layout.prop(bake, "fit_range")
         layout.prop(bake, "nla")
         layout.operator("facemime.bake_take", icon="ACTION")
         obj = subject(context)

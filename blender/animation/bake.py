@@ -15,8 +15,10 @@ from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
 from ..characters import members_of
 from ..names import PART_PROPERTY, TONGUE_KEY
+from ..shared_actions import make_actions_own
 from .bake_cache import remove_cache
 from .bake_keys import remove_baked_keys, require_relative, value_path
+from .placed import keep_axis_angles_moving, placed_rotations
 from .targets import PoseTarget, carried_targets
 
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
@@ -98,6 +100,7 @@ def check_range(take: Take, frames: NDArray[np.floating]) -> None:
 
 
 def bake_pose(
+    scene: bpy.types.Scene,
     obj: bpy.types.Object,
     targets: Targets,
     motion: HeadMotion,
@@ -112,6 +115,8 @@ def bake_pose(
 
     Parameters
     ----------
+    scene : bpy.types.Scene
+        The scene of the frames.
     obj : bpy.types.Object
         The head, whose children are its eyes, teeth and tongue.
     targets : mapping
@@ -129,33 +134,48 @@ def bake_pose(
     angle, length = clean or (None, None)
     turns, moves = motion.rotation if rotation else None, motion.translation if translation else None
     carried = carried_targets(obj, targets["head"])
-    curves = {target.obj: target.curves(turns, moves, angle, length) for target in carried}
+    curves: dict[bpy.types.Object, list[Curve]] = {}
+    for target in carried:
+        placed = None if target.bone else placed_rotations(scene, target.obj, frames)
+        curves.setdefault(target.obj, []).extend(target.curves(turns, moves, angle, length, placed))
     for part, target in _part_targets(obj, targets):
         turns = motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)]
         curves.setdefault(target.obj, []).extend(target.curves(turns, None, angle))
     for owner, owned in curves.items():
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         write_curves(owner, name, frames, owned, nla=nla)
+        keep_axis_angles_moving(scene, owner, frames)
     for child in filter(has_tongue, obj.children):
         curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
         write_curves(child.data.shape_keys, f"{child.name} Expression", frames, [curve], nla=nla)
 
 
+def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
+    """Return all data-blocks that a bake or a session of a head may animate. Parameters are as for `check_bakeable`."""
+    keys = [member.obj.data.shape_keys for member in members_of(obj)]
+    keys += [child.data.shape_keys for child in filter(has_tongue, obj.children)]
+    owners = [*(target.obj for target in _all_targets(obj, targets)), *filter(None, keys)]
+    return list(dict.fromkeys(owners))
+
+
 def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     """Remove what an earlier bake added to `obj` and `targets`: shape keys, cache, curves and pose.
 
-    Parameters are as for `check_bakeable`.
+    An action that another character plays too is left to it. Parameters are as for `check_bakeable`.
     """
+    make_actions_own(animated_owners(obj, targets))
     for member in members_of(obj):
         remove_baked_keys(member.obj)
         remove_cache(member.obj)
     for child in filter(has_tongue, obj.children):
         remove_baked_keys(child)
     places = _all_targets(obj, targets)
-    ours = {owner: remove_bake(owner) for owner in {target.obj for target in places}}
     for target in places:
-        if not target.bone or ours[target.obj].intersection(target.data_paths):
-            target.rest()
+        target.begin()  # a bake of an earlier version remembers no pose of the user
+    for owner in {target.obj for target in places}:
+        remove_bake(owner)
+    for target in places:
+        target.rest()
     bpy.context.view_layer.update()
 
 
@@ -199,16 +219,3 @@ def show_tongue(part: bpy.types.Object, amount: float) -> None:
     """
     if has_tongue(part):
         part.data.shape_keys.key_blocks[TONGUE_KEY].value = amount
-
-
-def set_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> None:
-    """Set the frame range of `scene` to contain all of `frames`, (N,) increasing.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    frames : (N,) array
-        Increasing.
-    """
-    scene.frame_start = int(np.floor(frames[0] + 1e-3))
-    scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))

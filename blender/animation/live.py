@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -15,6 +15,7 @@ from ...core.errors import HeadError
 from ..characters import Member, members_of
 from ..meshes import exists
 from ..names import PART_PROPERTY
+from ..shared_actions import make_actions_own
 from .aside import bake_of, curves, restore, set_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .live_mesh import LiveMesh, changed
@@ -94,9 +95,12 @@ class LiveHeadObject:
             return
         for shown in self._living_meshes():
             shown.require_same()
+        make_actions_own(self._animated_owners())
         family = [own for shown in self._living_meshes() if (own := shown.obj.data.shape_keys) is not None]
         for shown in self._living_meshes():
             shown.attach(self._values_of(shown.obj.data, family) if self.keys else None)
+        for target in self._living_targets():
+            target.begin()
         for owner in self._owners():
             set_aside(owner, [*curves(owner, lambda path: path.startswith("delta_")), *bake_of(owner)])
         self._shown = True
@@ -186,11 +190,13 @@ class LiveHeadObject:
         for owner in self._owners():
             restore(owner)
         removed = [shown.detach(keep=keep, blocks=blocks and not self._goes(shown)) for shown in self._meshes]
+        for target in self._living_targets():
+            if keep:
+                target.keep()
+            else:
+                target.rest()
         if keep:
             return False
-        for target in (*self._carried, *self.targets.values(), *(PoseTarget(child) for child, _ in self._parts)):
-            if target.exists:
-                target.rest()
         for child, _ in self._living_parts():
             show_tongue(child, 0.0)
         return any(removed)
@@ -201,6 +207,19 @@ class LiveHeadObject:
 
     def _living_meshes(self) -> list[LiveMesh]:
         return [shown for shown in self._meshes if not shown.gone]
+
+    def _living_targets(self) -> list[PoseTarget]:
+        parts = [PoseTarget(child) for child, _ in self._living_parts()]
+        targets = dict.fromkeys((*self._carried, *self.targets.values(), *parts))
+        return [target for target in targets if target.exists]
+
+    def _animated_owners(self) -> Iterator[bpy.types.ID]:
+        """Yield the data-blocks whose animation is muted during the session."""
+        yield self.obj
+        yield from (target.obj for target in self._living_targets())
+        for obj in (*(shown.obj for shown in self._living_meshes()), *(child for child, _ in self._living_parts())):
+            if (keys := getattr(obj.data, "shape_keys", None)) is not None:
+                yield keys
 
     def _living_parts(self) -> list[tuple[bpy.types.Object, str]]:
         return [(child, kind) for child, kind in self._parts if exists(child)]

@@ -27,7 +27,7 @@ from ..characters import members_of, objects_of
 from ..meshes import driven_by_keys, key_names, mesh_of
 from ..rigs import read_rig
 from ..timeline import frames_of
-from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked, set_range
+from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked
 from .bake_cache import bake_cache, export_alembic, with_name_of
 from .bake_keys import (
     MeshKeys,
@@ -38,6 +38,7 @@ from .bake_keys import (
     read_keys,
     value_path,
 )
+from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
 from .underneath import playing_under
 
@@ -66,6 +67,10 @@ class PuppetReport:
         Bones that were not moved, as they have their own animation.
     others : tuple of str
         Other actions and NLA tracks that move shape keys of the character.
+    start : float
+        Frame of the scene at 0 s of the take.
+    notes : tuple of str
+        Further warnings.
     """
 
     keys: int
@@ -74,6 +79,8 @@ class PuppetReport:
     motion: HeadMotion
     kept: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
+    start: float = 1.0
+    notes: tuple[str, ...] = ()
 
     @property
     def warnings(self) -> list[str]:
@@ -87,7 +94,7 @@ class PuppetReport:
             names = ", ".join(self.others)
             warning = f"Other animation moves the shape keys too: {names}. Mute it in Takes > Bake."
             warnings.append(warning)
-        return warnings
+        return [*warnings, *self.notes]
 
     def summary(self) -> str:
         """Return the number of shape keys and the error as text."""
@@ -139,7 +146,8 @@ def puppet_head(
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
     motion = drive_take(performance.driver(rig), take)
-    unit, frames = rig.eye_distance, frames_of(scene, motion.times)
+    start = start_frame(scene, bake.start)
+    unit, frames, whole = rig.eye_distance, *(frames_of(scene, times, start) for times in (motion.times, take.times))
     check_range(take, frames)
     if bake.keys == "mapped":
         motion, plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
@@ -149,13 +157,15 @@ def puppet_head(
     plan.write()
     follow = {"rotation": settings.rotation, "translation": settings.translation}
     clean = (bake.clean, bake.clean * unit) if bake.clean > 0.0 else None
-    bake_pose(obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
-    set_range(scene, frames_of(scene, take.times))
+    bake_pose(scene, obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
+    fit_range(scene, whole, bake.start, asked=bake.fit_range)
     if bake.keys == "alembic":
-        export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
+        with holding_take(scene, whole):
+            export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
     kept = tuple(target.bone for target in targets.values() if target.still)
     error = plan.error / unit + (bake.clean if plan.keys else 0.0)
-    return PuppetReport(plan.keys, error, neutral, motion, kept, tuple(playing_under(obj)))
+    notes = tuple(filter(None, [outside_range(scene, whole)]))
+    return PuppetReport(plan.keys, error, neutral, motion, kept, tuple(playing_under(obj)), start, notes)
 
 
 def puppet_heads(

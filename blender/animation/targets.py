@@ -1,16 +1,18 @@
 """Targets of a pose, live and baked: an object, by its delta transform, or a bone of an armature.
 
-The delta transform leaves the location and rotation of the object to the artist.
+The delta transform leaves the location and rotation of the object to the artist. What the artist has put there, or in
+the channels of a bone, is kept: the performance is added to it (`blender.own_pose`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi
 
 import bpy
 import numpy as np
-from mathutils import Euler, Matrix, Vector
+from mathutils import Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
 from ...core.arrays import IntArray
@@ -24,6 +26,7 @@ from ..characters import (
     own_rotation,
     parent_matrix,
     parent_rotation,
+    placed_scale,
     read_bones,
     rest_matrix,
     rest_rotation,
@@ -31,6 +34,17 @@ from ..characters import (
 from ..frames import rotation_to_blender, to_blender
 from ..meshes import exists, read_places, read_vertices
 from ..names import PIVOT_PROPERTY
+from ..own_pose import (
+    hold_own,
+    keep_pose,
+    own_mode,
+    own_pose,
+    path_of,
+    prefix_of,
+    release_own,
+    rotation_channel,
+    write_rotation,
+)
 
 FloatArray = NDArray[np.floating]
 
@@ -97,27 +111,33 @@ class PoseTarget:
         """The object or pose bone that is rotated."""
         return self.obj.pose.bones[self.bone] if self.bone else self.obj
 
-    @property
-    def prefix(self) -> str:
-        """Prefix of the attributes for rotation and location."""
-        return "" if self.bone else "delta_"
+    def turned(self, rotation: FloatArray, placed: FloatArray | None = None) -> FloatArray:
+        """Convert (..., 3, 3) rotations from the head frame to the target's channels, without the user's own pose.
 
-    @property
-    def path(self) -> str:
-        """Prefix of these attributes in an RNA path of the object."""
-        return f'pose.bones["{bpy.utils.escape_identifier(self.bone)}"].' if self.bone else ""
-
-    def turned(self, rotation: FloatArray) -> FloatArray:
-        """Convert (..., 3, 3) rotations from the head frame to the target's channels."""
-        axes = self._axes()
+        Parameters
+        ----------
+        rotation : (..., 3, 3) array
+        placed : (..., 3, 3) array, optional
+            Rotations of an animated object by its user; by default its current one.
+        """
+        axes = self._axes(placed)
         if self.strength != 1.0:
             every = [limit_rotation(one, self.strength, pi) for one in np.reshape(rotation, (-1, 3, 3))]
             rotation = np.reshape(every, np.shape(rotation))
-        return np.asarray(axes @ rotation_to_blender(rotation) @ axes.T)
+        return np.asarray(axes @ rotation_to_blender(rotation) @ np.swapaxes(axes, -1, -2))
 
-    def moved(self, translation: FloatArray) -> FloatArray:
-        """Convert (..., 3) translations from the head frame, in the unit of the head, to the target's channels."""
-        return np.asarray((to_blender(translation) * self._scale()) @ self._axes().T)
+    def moved(self, translation: FloatArray, placed: FloatArray | None = None) -> FloatArray:
+        """Convert (..., 3) translations from the head frame, in the unit of the head, as `turned` does rotations."""
+        axes = self._axes(placed)
+        if self.bone:
+            axes = np.array(own_pose(self.owner).rotation) @ axes
+        return np.asarray((axes @ (to_blender(translation) * self._scale())[..., None])[..., 0])
+
+    def begin(self) -> None:
+        """Prepare for being posed: what an earlier session left ends, and the user's own pose is remembered."""
+        if not self.still:
+            release_own(self.owner)
+            hold_own(self.owner)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
         """Set the pose.
@@ -131,10 +151,14 @@ class PoseTarget:
         """
         if self.still:
             return
+        owner = self.owner
+        hold_own(owner)
+        if not self.bone and own_mode(owner) == "AXIS_ANGLE":  # its animation goes on in channels that are not shown
+            owner.rotation_quaternion = own_rotation(owner).to_quaternion()
         if rotation is not None:
-            self._rotate(Matrix(self.turned(rotation).tolist()))
+            write_rotation(owner, Matrix(self._added(self.turned(rotation)).tolist()))
         if (location := self._location(rotation, translation)) is not None:
-            setattr(self.owner, f"{self.prefix}location", location.tolist())
+            setattr(owner, f"{prefix_of(owner)}location", location.tolist())
 
     @property
     def data_paths(self) -> list[str]:
@@ -144,8 +168,13 @@ class PoseTarget:
     @property
     def channels(self) -> list[str]:
         """Data paths of the rotation and the location."""
-        channels = ("rotation_quaternion", "rotation_euler", "location")
-        return [f"{self.path}{self.prefix}{channel}" for channel in channels]
+        channels = [
+            "rotation_quaternion",
+            "rotation_euler",
+            "location",
+            *(["rotation_axis_angle"] if self.bone else []),
+        ]
+        return [f"{path_of(self.owner)}{channel}" for channel in channels]
 
     @property
     def is_animated(self) -> bool:
@@ -162,8 +191,9 @@ class PoseTarget:
         translations: FloatArray | None,
         angle: float | None = None,
         length: float | None = None,
+        placed: FloatArray | None = None,
     ) -> list[Curve]:
-        """Return the curves of a motion.
+        """Return the curves of a motion, and remember the user's own pose.
 
         Parameters
         ----------
@@ -173,61 +203,74 @@ class PoseTarget:
             Head frame, the unit of the head.
         angle, length : float, optional
             As the tolerance of `Curve`: radians, and the unit of the head.
+        placed : (N, 3, 3) array, optional
+            As for `turned`.
         """
-        if self.still:
+        if self.still or (rotations is None and translations is None):
             return []
-        curves = [] if rotations is None else self._rotation_curves(rotations, angle)
-        if (locations := self._location(rotations, translations)) is not None:
+        hold_own(self.owner)
+        curves = []
+        if rotations is not None:
+            curves = self._rotation_curves(self._added(self.turned(rotations, placed)), angle)
+        if (locations := self._location(rotations, translations, placed)) is not None:
             curves += self._curves("location", locations, length)
         return curves
 
+    def _added(self, turns: FloatArray) -> FloatArray:
+        """Return (..., 3, 3) rotations of the channels: `turns` about the axes of what the user's own pose turns."""
+        own = np.array(own_pose(self.owner).rotation)
+        return np.asarray(own @ turns if self.bone else turns @ own)
+
     def _rotation_curves(self, rotations: FloatArray, tolerance: float | None) -> list[Curve]:
-        """Return curves of (N, 3, 3) rotations, without jumps between equivalent angles."""
+        """Return curves of (N, 3, 3) rotations of the channels, without jumps between equivalent angles."""
         owner = self.owner
-        if owner.rotation_mode == "AXIS_ANGLE":
-            owner.rotation_mode = "XYZ"
-        matrices = [Matrix(rotation.tolist()) for rotation in self.turned(rotations)]
-        if owner.rotation_mode == "QUATERNION":
-            channel, values = "rotation_quaternion", np.array([matrix.to_quaternion() for matrix in matrices])
-            flips = np.cumprod(np.where((values[1:] * values[:-1]).sum(axis=1) < 0, -1.0, 1.0))
-            values[1:] *= flips[:, None]
-        else:
-            channel, values, previous = "rotation_euler", np.empty((len(matrices), 3)), Euler((0.0, 0.0, 0.0))
+        channel, matrices = rotation_channel(owner), [Matrix(rotation.tolist()) for rotation in rotations]
+        if channel == "rotation_euler":
+            values, previous = np.empty((len(matrices), 3)), own_pose(owner).rotation.to_euler(owner.rotation_mode)
             for row, matrix in zip(values, matrices, strict=True):
                 previous = matrix.to_euler(owner.rotation_mode, previous)
                 row[:] = previous
-        return self._curves(channel, values, tolerance)
+            return self._curves(channel, values, tolerance)
+        values = continuous_quaternions([matrix.to_quaternion() for matrix in matrices])
+        return self._curves(channel, values if channel == "rotation_quaternion" else _axis_angles(values), tolerance)
 
     def rest(self) -> None:
-        """Reset the pose that `apply` set."""
-        if self.still:
-            return
-        self._rotate(Matrix.Identity(3))
-        setattr(self.owner, f"{self.prefix}location", (0.0, 0.0, 0.0))
+        """Give back the user's own pose."""
+        if not self.still:
+            release_own(self.owner)
 
-    def _location(self, rotation: FloatArray | None, translation: FloatArray | None) -> FloatArray | None:
+    def keep(self) -> None:
+        """Leave the pose as `apply` set it."""
+        if not self.still:
+            keep_pose(self.owner)
+
+    def _location(
+        self, rotation: FloatArray | None, translation: FloatArray | None, placed: FloatArray | None = None
+    ) -> FloatArray | None:
         """Return (..., 3) values of the location's channels; None if they are not changed."""
-        location = None if translation is None else self.moved(translation)
-        if rotation is None or self.bone or self.pivot is None:
-            return location
-        about = self._about()
-        around = about - self.turned(rotation) @ about
-        return around if location is None else location + around
+        location = None if translation is None else self.moved(translation, placed)
+        if rotation is not None and not self.bone and self.pivot is not None:
+            about = self._about()
+            around = about - self.turned(rotation, placed) @ about
+            location = around if location is None else location + around
+        return None if location is None else location + np.array(own_pose(self.owner).location)
 
     def _about(self) -> FloatArray:
         """Return (3,) from the location of the object to the pivot, in the space of its parent."""
         in_world = rest_matrix(self.head or self.obj) @ Vector(self.pivot or (0.0, 0.0, 0.0))
-        return np.array(parent_matrix(self.obj).inverted_safe() @ in_world - self.obj.location)
+        placed = self.obj.location + own_pose(self.obj).location
+        return np.array(parent_matrix(self.obj).inverted_safe() @ in_world - placed)
 
-    def _axes(self) -> FloatArray:
-        """Return (3, 3) from the head's axes in Blender to those of the target's channels, with negative scales."""
+    def _axes(self, placed: FloatArray | None = None) -> FloatArray:
+        """Return (..., 3, 3) from the head's axes in Blender to those of the channels, with negative scales."""
         head = self.head or self.obj
-        mirrored = np.where(np.array(head.scale) < 0.0, -1.0, 1.0)
+        mirrored = np.where(np.array(placed_scale(head)) < 0.0, -1.0, 1.0)
         if self.bone:
             bone = np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3().normalized())
             return np.asarray((rest_rotation(self.obj) @ bone).T @ rest_rotation(head) * mirrored)
         if head == self.obj:
-            return np.array(own_rotation(self.obj)) * mirrored
+            own = np.array(own_rotation(self.obj)) if placed is None else placed
+            return np.asarray(np.array(own_pose(self.obj).rotation) @ own * mirrored)
         return np.asarray(parent_rotation(self.obj).T @ rest_rotation(head) * mirrored)
 
     def _scale(self) -> FloatArray:
@@ -236,24 +279,33 @@ class PoseTarget:
         if self.bone:
             space = rest_matrix(self.obj)
         elif head == self.obj:
-            return np.abs(head.scale)
+            return np.abs(placed_scale(head))
         else:
             space = parent_matrix(self.obj)
         return np.full(3, rest_matrix(head).median_scale / max(space.median_scale, 1e-12))
 
     def _curves(self, channel: str, values: FloatArray, tolerance: float | None) -> list[Curve]:
-        path = f"{self.path}{self.prefix}{channel}"
+        path = f"{path_of(self.owner)}{channel}"
         return [Curve(path, i, column, tolerance) for i, column in enumerate(values.T)]
 
-    def _rotate(self, matrix: Matrix) -> None:
-        owner, prefix = self.owner, self.prefix
-        if owner.rotation_mode == "AXIS_ANGLE":
-            owner.rotation_mode = "XYZ"
-        if owner.rotation_mode == "QUATERNION":
-            setattr(owner, f"{prefix}rotation_quaternion", matrix.to_quaternion())
-        else:
-            before = getattr(owner, f"{prefix}rotation_euler")
-            setattr(owner, f"{prefix}rotation_euler", matrix.to_euler(owner.rotation_mode, before))
+
+def continuous_quaternions(quaternions: Sequence[Quaternion]) -> FloatArray:
+    """Return (N, 4) quaternions of the same rotations, each on the side of the one before."""
+    values = np.array(quaternions)
+    flips = np.cumprod(np.where((values[1:] * values[:-1]).sum(axis=1) < 0, -1.0, 1.0))
+    values[1:] *= flips[:, None]
+    return values
+
+
+def _axis_angles(quaternions: FloatArray) -> FloatArray:
+    """Return (N, 4) angles and axes of continuous quaternions, each axis on the side of the one before."""
+    values, last = np.empty_like(quaternions), Vector((0.0, 1.0, 0.0))
+    for row, quaternion in zip(values, quaternions, strict=True):
+        axis, angle = Quaternion(quaternion.tolist()).to_axis_angle()
+        side = -1.0 if axis.dot(last) < 0.0 else 1.0
+        last = side * axis
+        row[:] = (side * angle, *last)
+    return values
 
 
 def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:

@@ -19,7 +19,9 @@ _HEIGHTS = 0.1
 """Gap between the head and the video, relative to the height of the head."""
 
 
-def add_reference(scene: bpy.types.Scene, path: Path, offset: float, head: bpy.types.Object) -> bpy.types.Object:
+def add_reference(
+    scene: bpy.types.Scene, path: Path, offset: float, head: bpy.types.Object, start: float = 1.0
+) -> bpy.types.Object:
     """Add an image empty next to a head, as tall as the head, that plays a video in sync.
 
     Parameters

@@ -11,6 +11,7 @@ import numpy as np
 
 from ...blender.animation.sampling import Sampling
 from ...blender.characters import part_table, read_bones
+from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import check_object
 from ...blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ...blender.heads.landmark_pictures import draw_landmarks
@@ -147,10 +148,12 @@ def sample(character: HeadFile) -> Take:
         If the file cannot be read, no face is found, or the face does not move.
     """
     head = open_head(character)
-    sampling = Sampling(bpy.context.scene, head, character.path.name)
+    scene = scene_of(head)
+    sampling = Sampling(scene, head, character.path.name)
     progress = Progress(f"Sampling {head.name}", len(sampling.frames))
-    for done in sampling:
-        STOPPING.check()
-        progress.update(done)
+    with showing_scene(scene):
+        for done in sampling:
+            STOPPING.check()
+            progress.update(done)
     progress.finish()
     return sampling.take()

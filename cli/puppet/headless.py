@@ -15,8 +15,10 @@ from numpy.typing import NDArray
 from ...blender.animation.bake_cache import caches_beside
 from ...blender.animation.gltf import export_gltf
 from ...blender.animation.puppet import PuppetReport, check_heads, puppet_head
+from ...blender.animation.scene_range import holding_take
+from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.built_in import add_head
-from ...blender.media.preview_scene import face_view, setup_preview
+from ...blender.media.preview_scene import FaceView, face_view, setup_preview
 from ...blender.media.rendering import render_frames, set_rate, without_subdivision, write_video
 from ...blender.media.saving import saved_by_blender
 from ...blender.meshes import write_selection
@@ -71,11 +73,10 @@ def open_stage(job: PuppetJob) -> Stage:
     points = None if job.points is None else _points(job.points)
     by_keys = {"mapped": frozenset(), AUTOMATIC: ESSENTIAL}.get(settings.bake.keys)
     head = _built_in(settings.bake) if job.head is None else open_head(job.head, by_keys=by_keys)
-    scene = bpy.context.scene
     if points is not None:
         write_selection(head.data, points)
     check_heads([head], settings.bake)
-    return Stage(scene, head, settings)
+    return Stage(scene_of(head), head, settings)
 
 
 def _moment(start: float, end: float) -> str:
@@ -101,8 +102,9 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
     if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
     STOPPING.check()
-    view = face_view(head)
-    report = puppet_head(scene, head, take, stage.settings)
+    with showing_scene(scene):
+        view = face_view(head)
+        report = puppet_head(scene, head, take, stage.settings)
     STOPPING.check()
     neutral = report.neutral
     tell(
@@ -113,20 +115,30 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
         tell(warning)
     if own:  # a file of the user keeps its camera and render settings
         save_blend(job.output)
+    with showing_scene(scene):
+        _write_others(job, stage, take, video, report, view)
+    return report
+
+
+def _write_others(
+    job: PuppetJob, stage: Stage, take: Take, video: Path | None, report: PuppetReport, view: FaceView
+) -> None:
+    """Write the outputs other than the .blend of a user's own head."""
+    scene, head = stage.scene, stage.head
+    frames = frames_of(scene, take.times, report.start)
     if job.gltf is not None:
-        with STOPPING.holding():
+        with STOPPING.holding(), holding_take(scene, frames):
             export_gltf([head], job.gltf)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE), view)
-    if not own:
+    if job.head is None:
         look_through_camera()
         save_blend(job.output)
     chosen = select_distinct_frames(report.motion, SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
     sheet_frames = np.flatnonzero(take.found)[chosen]
     if job.preview is not None:
-        write_preview(scene, take, video, job.preview)
+        write_preview(scene, take, video, report.start, job.preview)
     if job.sheet is not None:
-        write_sheet(scene, take, video, sheet_frames, job.sheet)
-    return report
+        write_sheet(scene, take, video, sheet_frames, report.start, job.sheet)
 
 
 def _settings(job: PuppetJob) -> PuppetSettings:
@@ -181,7 +193,7 @@ def _is_complete(path: Path) -> bool:
         return file.read() == _END_OF_BLEND
 
 
-def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: Path) -> None:
+def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start: float, path: Path) -> None:
     """Write a video of the performer with landmarks beside the avatar, at the nominal rate of the source.
 
     Parameters
@@ -192,6 +204,8 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
         The performance.
     video : Path or None
         Its video, or None.
+    start : float
+        Frame of the scene at 0 s.
     path : Path
         The file.
     """
@@ -200,7 +214,7 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
     width, height = _image_size(take)
     left_width = min(2 * AVATAR_SIDE, 2 * round(AVATAR_SIDE * width / height / 2))
     progress = Progress("Rendering", len(frames))
-    avatars = _avatars(scene, np.array([frame.time for frame in frames]))
+    avatars = _avatars(scene, np.array([frame.time for frame in frames]) + take.times[0], start)
     indices = [frame.index for frame in frames]
     pictures = _pictures(take, video, indices)
 
@@ -215,7 +229,9 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, path: 
     progress.finish(str(path))
 
 
-def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], path: Path) -> None:
+def write_sheet(
+    scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], start: float, path: Path
+) -> None:
     """Write a contact sheet of performer and avatar in `frames` of `take`.
 
     Parameters
@@ -228,10 +244,12 @@ def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: 
         Its video, or None.
     frames : array
         Frames of the take, (N,).
+    start : float
+        Frame of the scene at 0 s.
     path : Path
         The file.
     """
-    avatars = _avatars(scene, take.times[frames])
+    avatars = _avatars(scene, take.times[frames], start)
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
         face = draw_face(picture, _landmarks(take, frame), TILE_SIDE)
@@ -240,9 +258,9 @@ def write_sheet(scene: bpy.types.Scene, take: Take, video: Path | None, frames: 
     write_image(path, contact_sheet(pairs))
 
 
-def _avatars(scene: bpy.types.Scene, times: NDArray[np.float64]) -> Iterator[Image]:
-    """Render the scene at `times` in seconds; OutputError if Blender cannot store a picture temporarily."""
-    pictures = render_frames(scene, frames_of(scene, times), (AVATAR_SIDE, AVATAR_SIDE))
+def _avatars(scene: bpy.types.Scene, times: NDArray[np.float64], start: float) -> Iterator[Image]:
+    """Render the scene at `times` in seconds after the frame `start`; OutputError if a picture cannot be stored."""
+    pictures = render_frames(scene, frames_of(scene, times, start), (AVATAR_SIDE, AVATAR_SIDE))
     try:
         for _ in times:
             with STOPPING.holding():

@@ -10,6 +10,8 @@ from ..settings import Choice, setting
 from .key_map import KeyMap
 
 AUTOMATIC = "automatic"
+FIRST_FRAME, CURRENT_FRAME, SCENE_START = "first", "current", "scene"
+Start = Literal["first", "current", "scene"]
 Keys = Literal["automatic", "new", "named", "mapped", "cache", "alembic"]
 
 
@@ -30,6 +32,11 @@ class BakeSettings:
         Error of the vertices allowed when removing keyframes, in eye distances; 0 keeps all keyframes.
     nla : bool
         Whether the curves go onto an NLA track instead of the active action.
+    start : {"first", "current", "scene"}
+        Frame of the scene at 0 s of the take: frame 1, the current frame, or the first of the scene's frame range.
+    fit_range : bool
+        Whether the scene's frame range becomes that of the take. Otherwise only the default range of a scene without
+        other animation does.
     table : KeyMap or None
         Key mapping for "mapped"; None selects the preset that fits the mesh's shape keys best.
     path : Path or None
@@ -75,6 +82,21 @@ class BakeSettings:
         unit="percent",
     )
     nla: bool = setting(False, "Push to NLA", "Put the animation on an NLA track instead of the active action")
+    start: Start = setting(
+        FIRST_FRAME,
+        "Start",
+        "Frame of the scene at which the take starts",
+        choices=(
+            Choice(FIRST_FRAME, "At Frame 1", "The take's time 0 is at frame 1", 0),
+            Choice(CURRENT_FRAME, "At Current Frame", "The take's time 0 is at the current frame", 1),
+            Choice(SCENE_START, "At Scene Start", "The take's time 0 is at the first frame of the scene's range", 2),
+        ),
+    )
+    fit_range: bool = setting(
+        False,
+        "Fit Frame Range",
+        "Set the scene's frame range to that of the take even if the scene has its own range or other animation",
+    )
     table: KeyMap | None = None
     path: Path | None = None
 

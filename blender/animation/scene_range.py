@@ -1,0 +1,94 @@
+"""Where a take starts in a scene, and the scene's frame range, which is the user's unless nothing else needs it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.bake.settings import CURRENT_FRAME, SCENE_START
+from ..actions import others_playing
+from ..names import RANGE_PROPERTY
+
+_DEFAULT_RANGE = (1, 250)
+"""Frame range of Blender's default scene, which nobody chose."""
+
+
+def start_frame(scene: bpy.types.Scene, choice: str) -> float:
+    """Return the frame of a scene at 0 s of a take.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    choice : {"first", "current", "scene"}
+        As in `BakeSettings`.
+    """
+    if choice == CURRENT_FRAME:
+        return float(scene.frame_current)
+    return float(scene.frame_start) if choice == SCENE_START else 1.0
+
+
+def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating], choice: str, *, asked: bool = False) -> None:
+    """Set the frame range of a scene to that of a take, if it is free or this was asked for.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    frames : (N,) array
+        Frames of the take, increasing.
+    choice : {"first", "current", "scene"}
+        Where the take starts; a take that starts with the scene leaves the first frame of the range.
+    asked : bool
+        Whether the user wants it.
+    """
+    if not asked and not _is_free(scene):
+        return
+    if choice != SCENE_START:
+        scene.frame_start = int(np.floor(frames[0] + 1e-3))
+    scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))
+    scene[RANGE_PROPERTY] = [scene.frame_start, scene.frame_end]
+
+
+def outside_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> str:
+    """Return a warning if a take is not all in the frame range of a scene, and otherwise an empty text."""
+    first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
+    start, end = scene.frame_start, scene.frame_end
+    if start <= first and last <= end:
+        return ""
+    warning = (
+        f"The take plays from frame {first} to {last}, and the scene from {start} to {end}. "
+        "Choose where the take starts, or fit the frame range to it."
+    )
+    return warning
+
+
+@contextmanager
+def holding_take(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> Iterator[None]:
+    """Extend the frame range of a scene for a while, if it does not contain all of a take, to that or to the take."""
+    before = scene.frame_start, scene.frame_end
+    if outside_range(scene, frames):
+        first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
+        apart = last < before[0] or first > before[1]
+        scene.frame_start = first if apart else min(first, before[0])
+        scene.frame_end = last if apart else max(last, before[1])
+    try:
+        yield
+    finally:
+        scene.frame_start, scene.frame_end = before
+
+
+def _is_free(scene: bpy.types.Scene) -> bool:
+    """Return whether the range is Blender's default or that of an earlier take, and nothing else is animated."""
+    known = scene.get(RANGE_PROPERTY)
+    ours = None if known is None else tuple(known)
+    if (scene.frame_start, scene.frame_end) not in (_DEFAULT_RANGE, ours) or scene.timeline_markers:
+        return False
+    blocks = [block for obj in scene.objects for block in (obj, obj.data, getattr(obj.data, "shape_keys", None))]
+    return not any(others_playing(block) for block in dict.fromkeys(filter(None, blocks)) if _animatable(block))
+
+
+def _animatable(block: bpy.types.ID) -> bool:
+    return hasattr(block, "animation_data")

@@ -1,0 +1,140 @@
+"""Where a take starts in a scene, and whose the frame range is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+from curves import curves_of
+
+from commands import run
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.heads.built_in import add_head
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.takes.file import save_take
+from facemime.sessions.show import TakeShow
+from takes import performance
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+def bake(head, **settings):
+    return puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(**settings)))
+
+
+def range_of(scene):
+    return scene.frame_start, scene.frame_end
+
+
+def keyed(head):
+    """First and last frame of the bake."""
+    points = [point.co.x for curve in curves_of(head.data.shape_keys) for point in curve.keyframe_points]
+    return min(points), max(points)
+
+
+@pytest.mark.parametrize(("start", "frame"), [("first", 1), ("current", 1040), ("scene", 1001)])
+def test_a_take_starts_where_it_was_asked_to(start, frame):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    scene.render.fps, scene.frame_start, scene.frame_end = 25, 1001, 1100
+    scene.frame_set(1040)
+    report = bake(head, start=start)
+    assert report.start == frame and keyed(head)[0] == pytest.approx(frame)
+    assert range_of(scene) == (1001, 1100) and scene.frame_current == 1040
+    assert any("1001 to 1100" in warning for warning in report.warnings) == (start == "first")
+
+
+def test_the_range_of_an_untouched_scene_becomes_that_of_each_take():
+    head, scene = add_head(bpy.context), bpy.context.scene
+    scene.render.fps = 25
+    bake(head)
+    first = range_of(scene)
+    puppet_head(scene, head, performance(30))
+    assert first == (1, 60) and range_of(scene) == (1, 30)
+    bake(head, start="scene")
+    assert range_of(scene) == (1, 60)
+
+
+def _camera_move(scene):
+    camera = bpy.data.objects.new("Camera", None)
+    scene.collection.objects.link(camera)
+    camera.keyframe_insert("location", frame=1)
+
+
+def _strip(scene):
+    cube = bpy.data.objects.new("Cube", None)
+    scene.collection.objects.link(cube)
+    track = cube.animation_data_create().nla_tracks.new()
+    action = bpy.data.actions.new("Move")
+    track.strips.new("Move", 1, action)
+
+
+def _other_key(scene):
+    mesh = bpy.data.meshes.new("Other")
+    mesh.from_pydata([(0, 0, 0)], [], [])
+    obj = bpy.data.objects.new("Other", mesh)
+    scene.collection.objects.link(obj)
+    obj.shape_key_add(name="Basis")
+    obj.shape_key_add(name="Key").keyframe_insert("value", frame=3)
+
+
+def _marker(scene):
+    scene.timeline_markers.new("Shot", frame=20)
+
+
+@pytest.mark.parametrize("use", [_camera_move, _strip, _other_key, _marker])
+def test_the_range_of_a_scene_in_use_is_kept_unless_its_change_is_asked_for(use):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    scene.render.fps = 25
+    use(scene)
+    bake(head)
+    assert range_of(scene) == (1, 250)
+    show = TakeShow(scene, [head], performance())
+    assert range_of(scene) == (1, 250)
+    show.close()
+    bake(head, fit_range=True)
+    assert range_of(scene) == (1, 60)
+
+
+def test_preview_bake_and_playhead_share_the_frame_at_which_a_take_was_put(tmp_path, takes):
+    scene, path = bpy.context.scene, tmp_path / "a.facetake"
+    scene.render.fps = 25
+    save_take(performance(), path)
+    bpy.ops.facemime.import_take(filepath=str(path))
+    head = add_head(bpy.context)
+    bpy.context.view_layer.objects.active = head
+    takes.bake.start, takes.bake.keys = "current", "new"
+    scene.frame_set(40)
+    assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+    assert keyed(head)[0] == pytest.approx(40.0)
+    scene.frame_set(60)
+    assert bpy.ops.facemime.trim_take(keep="FROM") == {"FINISHED"}
+    assert takes.items[takes.index].length == pytest.approx(60 / 25 - 20 / 25, abs=0.05)
+
+
+def test_a_take_keeps_its_own_time_after_the_start():
+    head, scene = add_head(bpy.context), bpy.context.scene
+    scene.render.fps, scene.frame_start, scene.frame_end = 25, 101, 300
+    take = performance()
+    settings = PuppetSettings(bake=BakeSettings(start="scene"))
+    puppet_head(scene, head, replace(take, times=take.times + 2.0), settings)
+    assert keyed(head)[0] == pytest.approx(151.0)
+
+
+def test_a_character_of_another_scene_gets_the_rate_and_range_of_its_own(tmp_path):
+    own, edit = bpy.context.scene, bpy.data.scenes.new("Edit")
+    add_head(bpy.context).name = "Face"
+    own.render.fps, edit.render.fps = 24, 60
+    bpy.context.window.scene = edit
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
+    save_take(performance(), tmp_path / "a.facetake")
+    outputs = ("-o", tmp_path / "out.blend", "--sheet", tmp_path / "out.png", "--gltf", tmp_path / "out.glb")
+    done = run("puppet", tmp_path / "a.facetake", *outputs, "--head", tmp_path / "two.blend", "--start", "scene")
+    assert done.returncode == 0, done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
+    assert bpy.context.scene.name == "Edit" and range_of(bpy.context.scene) == (1, 250)
+    first, last = keyed(bpy.data.objects["Face"])
+    assert first == pytest.approx(1.0) and last == pytest.approx(1.0 + performance().times[-1] * 24, abs=1.1)
+    assert range_of(bpy.data.scenes["Scene"]) == (1, int(np.ceil(last - 1e-3)))
