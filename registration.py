@@ -30,7 +30,7 @@ from .operators import (
     viewer,
 )
 from .sessions import session, show
-from .settings import panel_properties, preferences, properties, stream_properties, takes_properties, takes_store
+from .settings import moved_files, panel_properties, preferences, properties, stream_properties, takes_properties
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import documentation, menus, placing_overlay, point_overlay, preview, region_overlay, translations
@@ -51,7 +51,7 @@ _MODULES = (
     properties,
     panel_properties,
     takes_properties,
-    takes_store,
+    moved_files,
     face_display,
     attached_parts,
     head,

@@ -24,16 +24,21 @@ COEFFICIENT_INDEX = {name: i for i, name in enumerate(COEFFICIENTS)}
 N_COEFFICIENTS = len(COEFFICIENTS)
 FITTED: NDArray[np.intp] = np.array([i for i, name in enumerate(COEFFICIENTS) if not name.startswith("eyeLook")])
 """(44,) columns of the coefficients that are fitted: all but the eight of the eyes' direction."""
-_EXCLUSIVE = (
+_LOOKS = (("eyeLookDown", "eyeLookUp"), ("eyeLookIn", "eyeLookOut"))
+EXCLUSIVE_NAMES = (
     ("jawLeft", "jawRight"),
     ("mouthLeft", "mouthRight"),
     ("eyeBlinkLeft", "eyeWideLeft"),
     ("eyeBlinkRight", "eyeWideRight"),
     ("mouthSmileLeft", "mouthFrownLeft"),
     ("mouthSmileRight", "mouthFrownRight"),
+    *((one + side, other + side) for one, other in _LOOKS for side in ("Left", "Right")),
 )
-EXCLUSIVE: NDArray[np.intp] = np.array([[COEFFICIENT_INDEX[name] for name in pair] for pair in _EXCLUSIVE])
-"""(P, 2) columns of coefficients that exclude each other, as their motions are opposite."""
+"""Coefficients that exclude each other, as their motions are opposite."""
+EXCLUSIVE: NDArray[np.intp] = np.array(
+    [[COEFFICIENT_INDEX[name] for name in pair] for pair in EXCLUSIVE_NAMES if not pair[0].startswith("eyeLook")]
+)
+"""(P, 2) columns of those that are fitted."""
 
 
 def _mirrored(name: str) -> str:

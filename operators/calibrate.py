@@ -5,7 +5,14 @@ from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..blender.messages import tooltip
 from ..sessions.countdown import COUNTDOWN
-from ..settings.values import add_performer, remove_performer, selected_performer
+from ..settings.performers import (
+    add_performer,
+    clear_file,
+    forget,
+    remove_performer,
+    selected_performer,
+    stored_performers,
+)
 from .puppet import require_puppet, running
 from .shared import ReportsErrors, require
 
@@ -56,7 +63,7 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Reset the calibration; a running puppet uses the next second as the neutral face."""
         if (performer := selected_performer(context.scene.facemime)) is not None:
-            performer.calibration = ""
+            forget(performer)
         if (session := running()) is not None:
             session.worker.forget()
 
@@ -87,9 +94,26 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
         remove_performer(context.scene.facemime)
 
 
+class FACEMIME_OT_clear_calibrations(ReportsErrors, bpy.types.Operator):
+    """Remove the faces of all performers from the .blend file; they are kept until Blender quits"""
+
+    bl_idname = "facemime.clear_calibrations"
+    bl_label = "Remove Faces from File"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a stored calibration."""
+        return require(cls, bool(stored_performers()), "No performer's face is stored in this .blend file")
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Remove them from all scenes."""
+        clear_file()
+
+
 CLASSES = (
     FACEMIME_OT_calibrate,
     FACEMIME_OT_reset_calibration,
     FACEMIME_OT_add_performer,
     FACEMIME_OT_remove_performer,
+    FACEMIME_OT_clear_calibrations,
 )

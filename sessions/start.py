@@ -18,6 +18,7 @@ from ..core.live.worker import LiveOptions
 from ..core.streams.source import StreamSource
 from ..core.tracking.settings import TrackingSettings
 from ..settings.bake_table import read_table
+from ..settings.performers import read_calibration, write_calibration
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
 from ..settings.rna import read
@@ -28,8 +29,6 @@ from ..settings.values import (
     open_sender,
     open_source,
     pose_targets,
-    read_calibration,
-    write_calibration,
 )
 from .live import LiveSession
 from .viewing import follow_viewer, open_vertices, open_viewer

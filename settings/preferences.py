@@ -52,7 +52,8 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     )
     takes_folder: StringProperty(
         name="Takes",
-        description="Folder for takes recorded before the .blend file is saved; later takes are stored next to it",
+        description="Folder for takes recorded before the .blend file is saved, by default Facemime in your documents; "
+        "they move beside the .blend file when it is first saved",
         subtype="DIR_PATH",
     )
 

@@ -11,12 +11,12 @@ from ..core.files import replacing
 from ..core.presets import SUFFIX, file_name, to_json
 from ..core.puppet.presets import CONTENTS, read_preset
 from .properties import FacemimeSettings
-from .storage import user_folder
+from .storage import presets_folder
 
 
 def folder() -> Path:
     """Return the folder of the user's presets."""
-    return user_folder("presets")
+    return presets_folder()
 
 
 def names() -> list[str]:

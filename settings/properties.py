@@ -14,6 +14,7 @@ from bpy.props import (
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.puppet.settings import PuppetSettings
 from ..core.tracking.settings import TrackingSettings
+from .performers import follow_keeping
 from .rna import with_settings
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 
@@ -79,6 +80,7 @@ class FacemimePosing(bpy.types.PropertyGroup):
 class FacemimePerformer(bpy.types.PropertyGroup):
     """A performer, with name and calibration."""
 
+    key: StringProperty(options={"HIDDEN"})
     calibration: StringProperty(options={"HIDDEN"})
 
 
@@ -116,6 +118,15 @@ class FacemimeSettings(bpy.types.PropertyGroup):
             "unless it was calibrated"
         ),
         default=True,
+    )
+    keep_calibrations: BoolProperty(
+        name="Keep in File",
+        description=(
+            "Store the calibrations, which contain the shapes of the performers' faces, in the .blend file; otherwise "
+            "they are forgotten when Blender quits"
+        ),
+        default=False,
+        update=follow_keeping,
     )
     keep_pose: BoolProperty(
         name="Keep Pose",

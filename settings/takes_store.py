@@ -9,18 +9,16 @@ from functools import lru_cache
 from pathlib import Path
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take, take_of
 from ..core.takes.format import NewerFormatError
 from ..core.takes.take import Take
-from .preferences import preferences
+from .moved_files import TAKES, default_folder, located
 from .storage import free_path, project_folder, relative
 from .takes_properties import FacemimeTake
 
-_FOLDER = "takes"
 _SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
 
 
@@ -30,8 +28,7 @@ class MisnamedError(SourceError):
 
 def folder() -> Path:
     """Return the folder for new takes: `takes` next to a saved .blend file, otherwise that of the preferences."""
-    preferred = preferences().takes_folder
-    return Path(bpy.path.abspath(preferred)) if preferred and not bpy.data.filepath else project_folder(_FOLDER)
+    return project_folder(TAKES) if bpy.data.filepath else default_folder(TAKES)
 
 
 def chosen(scene: bpy.types.Scene) -> FacemimeTake:
@@ -154,7 +151,7 @@ def read(line: FacemimeTake) -> Take:
     """
     if line.packed is not None:
         return _unpacked(line)
-    path = Path(bpy.path.abspath(line.path))
+    path = located(line.path)
     if not os.path.isfile(path):
         raise SourceError(f"The file of the take {line.name} is missing: {path}. Restore it, or import it again.")
     return _loaded(path, path.stat().st_mtime_ns)
@@ -178,9 +175,10 @@ def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
         source = read(line).info.get("source")
     except SourceError:
         return None
-    beside = Path(bpy.path.abspath(line.path)).parent / str(source)
+    folders = (located(line.path).parent, default_folder(TAKES))
     chosen_one = Path(bpy.path.abspath(scene.facemime.source.video))
-    return next((path for path in (beside, chosen_one) if path.name == source and path.is_file()), None)
+    places = (*(folder / str(source) for folder in folders), chosen_one)
+    return next((path for path in places if path.name == source and path.is_file()), None)
 
 
 def sound_beside(video: Path) -> Path:
@@ -191,7 +189,7 @@ def sound_beside(video: Path) -> Path:
 def pack(line: FacemimeTake) -> None:
     """Pack the take of `line` into the .blend file; its own file is kept."""
     read(line)
-    data = Path(bpy.path.abspath(line.path)).read_bytes()
+    data = located(line.path).read_bytes()
     text = bpy.data.texts.new(f"{line.name}{SUFFIX}")
     text.from_string(base64.encodebytes(data).decode("ascii"))
     line.packed = text
@@ -209,39 +207,8 @@ def unpack(line: FacemimeTake) -> Path:
 
 def unlisted(scene: bpy.types.Scene) -> list[Path]:
     """Return the takes in the folder that are not in the list, such as removed ones."""
-    known = {os.path.realpath(bpy.path.abspath(line.path)) for line in scene.facemime_takes.items if line.path}
+    known = {os.path.realpath(located(line.path)) for line in scene.facemime_takes.items if line.path}
     return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if os.path.realpath(path) not in known)
-
-
-@persistent
-def _before_saving(filepath: str, *_: object) -> None:
-    """Make the paths of takes relative to where the file is about to be saved."""
-    _rebase(filepath)
-
-
-@persistent
-def _after_saving(*_: object) -> None:
-    """Make the paths relative to the open file again, if a copy was saved."""
-    if _Rebased.lines:
-        _rebase(bpy.data.filepath)
-        _Rebased.lines.clear()
-
-
-class _Rebased:
-    """Absolute paths of takes while a file is saved, by scene and index."""
-
-    lines: dict[tuple[str, int], Path] = {}
-
-
-def _rebase(blend: str) -> None:
-    for scene in bpy.data.scenes:
-        for number, line in enumerate(scene.facemime_takes.items):
-            if line.path:
-                path = _Rebased.lines.setdefault((scene.name, number), Path(bpy.path.abspath(line.path)))
-                line.path = relative(path, blend) if blend else str(path)
-
-
-HANDLERS = {"save_pre": _before_saving, "save_post": _after_saving, "save_post_fail": _after_saving}
 
 
 def _length(take: Take) -> float:

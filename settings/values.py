@@ -6,7 +6,6 @@ one of its property groups has a method.
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,7 @@ from ..core.assets import ASSETS
 from ..core.bake.settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
 from ..core.capture import is_address
 from ..core.drive.settings import DriveSettings, PosingSettings
-from ..core.errors import FacemimeError, SourceError
+from ..core.errors import SourceError
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.puppet.settings import PuppetSettings
@@ -29,15 +28,14 @@ from ..core.streams.settings import OWN, PROTOCOLS, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
-from ..core.takes.neutral import Neutral
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
 from ..core.tracking.settings import TrackingSettings
 from ..core.viewer.settings import ViewerSettings
 from .bake_table import read_table
 from .preferences import preferences
-from .properties import FacemimePerformer, FacemimePosing, FacemimeSettings, FacemimeSource
+from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
-from .storage import project_folder, user_folder
+from .storage import private_folder, project_folder
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
 
@@ -222,7 +220,7 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender 
     if output.protocol == VTUBE_STUDIO:
         from ..core.streams.vtube_studio_api import VTubeStudioSender  # only now, as its libraries take a moment
 
-        return VTubeStudioSender(host, output.port, user_folder("vtube_studio") / "token", drive_settings(settings))
+        return VTubeStudioSender(host, output.port, private_folder("vtube_studio") / "token", drive_settings(settings))
     wanted = SendSettings(output.protocol, host, output.port, key, output.subject or SendSettings.subject)
     return StreamSender(wanted, drive_settings(settings))
 
@@ -301,59 +299,3 @@ def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, Po
         if (obj := getattr(posing, eye)) is not None:
             targets[eye] = PoseTarget.of(obj, getattr(posing, f"{eye}_bone"), head)
     return targets
-
-
-def read_calibration(settings: FacemimeSettings) -> Neutral | None:
-    """Return the calibration of the selected performer; None if there is none.
-
-    Raises
-    ------
-    SourceError
-        If the stored calibration is damaged.
-    """
-    performer = selected_performer(settings)
-    return Neutral.from_json(performer.calibration) if performer is not None and performer.calibration else None
-
-
-def selected_performer(settings: FacemimeSettings) -> FacemimePerformer | None:
-    """Return the selected performer; None if there is none."""
-    known = 0 <= settings.performer < len(settings.performers)
-    return settings.performers[settings.performer] if known else None
-
-
-def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
-    """Store `neutral` with the selected performer, or with a new one, and return the performer's name.
-
-    Parameters
-    ----------
-    settings : FacemimeSettings
-    neutral : Neutral
-    """
-    if selected_performer(settings) is None:
-        add_performer(settings)
-    performer = settings.performers[settings.performer]
-    performer.calibration = json.dumps(neutral.to_dict())
-    return str(performer.name)
-
-
-def add_performer(settings: FacemimeSettings, name: str = "") -> None:
-    """Add a performer and select it; without a `name` it is numbered.
-
-    Parameters
-    ----------
-    settings : FacemimeSettings
-    name : str, optional
-    """
-    taken = {performer.name for performer in settings.performers}
-    performer = settings.performers.add()
-    number = len(settings.performers)
-    performer.name = name or next(f"Performer {n}" for n in range(number, number + 99) if f"Performer {n}" not in taken)
-    settings.performer = len(settings.performers) - 1
-
-
-def remove_performer(settings: FacemimeSettings) -> None:
-    """Remove the selected performer; raises FacemimeError if there is none."""
-    if not 0 <= settings.performer < len(settings.performers):
-        raise FacemimeError("No performer is selected. Select one in the list.")
-    settings.performers.remove(settings.performer)
-    settings.performer = min(settings.performer, len(settings.performers) - 1)

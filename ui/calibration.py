@@ -4,6 +4,7 @@ import bpy
 
 from ..operators.puppet import running
 from ..sessions.countdown import COUNTDOWN
+from ..settings.performers import calibration_of, stored_performers
 from .sidebar import Sidebar, draw_list, labels, place
 from .status import countdown_text
 
@@ -13,7 +14,7 @@ class FACEMIME_UL_performers(bpy.types.UIList):
 
     def draw_item(self, context, layout, data, item, icon, active_data, active_property) -> None:
         """Draw one performer."""
-        layout.prop(item, "name", text="", emboss=False, icon="CHECKMARK" if item.calibration else "USER")
+        layout.prop(item, "name", text="", emboss=False, icon="CHECKMARK" if calibration_of(item) else "USER")
 
 
 class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
@@ -32,6 +33,9 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"
         column.operator("facemime.reset_calibration", text="Reset", icon="LOOP_BACK")
         layout.prop(settings, "learn")
+        layout.prop(settings, "keep_calibrations")
+        if stored_performers():
+            layout.operator("facemime.clear_calibrations", icon="TRASH")
         if session is None:
             return
         if session.calibration is not None:

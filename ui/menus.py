@@ -118,6 +118,7 @@ class FACEMIME_MT_calibrate(bpy.types.Menu):
         _Entry("facemime.reset_calibration", "LOOP_BACK"),
         _Entry("facemime.add_performer", "ADD"),
         _Entry("facemime.remove_performer", "REMOVE"),
+        _Entry("facemime.clear_calibrations", "TRASH"),
     )
 
 

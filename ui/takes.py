@@ -63,7 +63,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
                 "INFO",
             )
         elif not bpy.data.filepath:
-            labels(layout, context, "Takes are stored in your user folder until you save the .blend file", "INFO")
+            labels(layout, context, "Takes are in your documents until you save the .blend file", "INFO")
         buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
         column = layout.column()

@@ -12,7 +12,7 @@ from ...core.arrays import FloatArray
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.basis import fit_basis
 from ...core.bake.fit import fit_keys, mix_errors
-from ...core.bake.key_map import KeyMap, best_preset, expression_keys, presets
+from ...core.bake.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
 from ...core.bake.point_cache import SUFFIX
 from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.drive.motion import HeadMotion, drive_take
@@ -263,7 +263,7 @@ def _new(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: fl
 def _named(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
     keys = read_keys(members_of(obj))
     keys = keys.chosen(expression_keys(keys.names))
-    fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper)
+    fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper, exclusive_keys(keys.names))
     values = dict(zip(keys.names, fit.weights.T, strict=True))
     return _values_plan(obj, keys, values, fit.worst_error, frames, unit, bake)
 

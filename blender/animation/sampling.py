@@ -22,6 +22,7 @@ from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import exists, eye_vertices, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
 from ..timeline import frame_range, rate_of
+from .animated_keys import AnimatedKeys
 
 _CONSTRUCTIVE = {
     *("ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "REMESH"),
@@ -63,7 +64,7 @@ class Sampling:
         self._scene, self._head, self.frames = scene, head, frame_range(scene)
         self._rate = rate_of(scene)
         self._recorder = TakeRecorder(describe_animation(source, self._rate))
-        self._face = _Face(head)
+        self._face, self._keys = _Face(head), AnimatedKeys(head)
         self._tracker: PointTracker | None = None
         self._moves = False
 
@@ -94,12 +95,14 @@ class Sampling:
         HeadError
             If the head does not move in them.
         """
-        if self._tracker is None or not self._moves:
+        if self._tracker is None or not (self._moves or self._keys.moved):
             first, last = self.frames[0], self.frames[-1]
             raise HeadError(
                 f"{self._head.name} does not move from frame {first} to {last}. Animate it, or change the frame range."
             )
-        return self._tracker.finish(self._recorder)
+        take = self._tracker.finish(self._recorder)
+        self._keys.state(take)
+        return take
 
     def _sample(self, time: float) -> None:
         if not exists(self._head):
@@ -108,6 +111,7 @@ class Sampling:
         if tracker is None:
             tracker = self._tracker = PointTracker(self._face.rest(), self._face.pivot, self._face.trust)
         points = self._face.current()
+        self._keys.read(bpy.context.evaluated_depsgraph_get())
         self._moves |= bool(np.abs(points.landmarks - tracker.rest.landmarks).max() > _LEAST_MOTION * tracker.unit)
         self._recorder.append(time, tracker.track(points))
 

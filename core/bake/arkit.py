@@ -13,7 +13,7 @@ import numpy as np
 
 from ..actions import action_indices
 from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
 from ..drive.settings import DriveSettings, PosingSettings
 from ..errors import SourceError
 from ..heads.built_in import load_head
@@ -29,6 +29,8 @@ from .observation import Observer
 __all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of"]
 
 _DEFAULTS = DriveSettings()
+_PAIRS = [(int(one), int(other)) for one, other in np.searchsorted(FITTED, EXCLUSIVE)]
+"""Pairs of the coefficients `FITTED` that exclude each other."""
 _MEASURED = {
     "tongueOut": action_indices(["tongueOut"]),
     "cheekPuff": action_indices(["cheekPuffRight", "cheekPuffLeft"]),
@@ -161,7 +163,7 @@ def _fitted(moved: FloatArray) -> FloatArray:
     """Fit the coefficients `FITTED`, (N, 44), to exact displacements (N, 66, 3) of the built-in head's landmarks."""
     head = load_head()
     units = head.units[FITTED][:, head.landmarks]
-    return fit_keys(moved, units, np.zeros(len(FITTED)), np.ones(len(FITTED))).weights
+    return fit_keys(moved, units, np.zeros(len(FITTED)), np.ones(len(FITTED)), _PAIRS).weights
 
 
 def _with_looks(fitted: FloatArray, gaze: FloatArray) -> FloatArray:

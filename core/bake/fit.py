@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..products import multiply
@@ -33,7 +35,13 @@ class KeyFit:
     mean_error: float
 
 
-def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: FloatArray) -> KeyFit:
+def fit_keys(
+    motion: FloatArray,
+    keys: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    exclusive: Sequence[tuple[int, int]] = (),
+) -> KeyFit:
     """Fit weights of shape keys to a motion, by least squares within bounds.
 
     Parameters
@@ -44,6 +52,8 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
         Displacements at weight 1.
     lower, upper : (K,) array
         Range of the weight of each key.
+    exclusive : sequence of (int, int)
+        Pairs of keys with opposite motions. In each frame, at least one of a pair is 0.
 
     Returns
     -------
@@ -52,7 +62,7 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
 
     Notes
     -----
-    Equation 9.1.
+    Equation 9.1. Where both keys of a pair are found, the weaker one is left out and the others are fitted again.
     """
     flat = np.ascontiguousarray(keys, dtype=np.float64).reshape(len(keys), -1)
     # Normal equations of equation 9.1, in which the motion enters only by its products with the keys.
@@ -61,8 +71,36 @@ def fit_keys(motion: FloatArray, keys: FloatArray, lower: FloatArray, upper: Flo
     products = np.concatenate(
         [motion[n : n + _ROWS].reshape(len(motion[n : n + _ROWS]), -1) @ flat.T for n in range(0, len(motion), _ROWS)]
     )
-    weights = bounded_least_squares(gram, products, np.asarray(lower, float), np.asarray(upper, float))
+    low, high = np.asarray(lower, float), np.asarray(upper, float)
+    weights = bounded_least_squares(gram, products, low, high)
+    if pairs := [pair for pair in exclusive if low[list(pair)].max() <= 0.0]:
+        _exclude(weights, np.array(pairs, dtype=np.intp), gram, products, low, high)
     return KeyFit(weights, *mix_errors(motion, keys, weights))
+
+
+def _exclude(
+    weights: FloatArray,
+    pairs: NDArray[np.intp],
+    gram: FloatArray,
+    products: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+) -> None:
+    """Fit weights (N, K) again without the weaker keys of `pairs` (P, 2) until no pair is together, in place."""
+    left_out = np.zeros(weights.shape, dtype=bool)
+    for _ in pairs:
+        both = (np.abs(weights[:, pairs]) > 0.0).all(axis=2)
+        rows, chosen = np.nonzero(both)
+        if not len(rows):
+            return
+        weaker = pairs[chosen, np.abs(weights[rows[:, None], pairs[chosen]]).argmin(axis=1)]
+        left_out[rows, weaker] = True
+        for row in np.unique(rows):
+            kept = np.flatnonzero(~left_out[row])
+            weights[row] = 0.0
+            weights[row, kept] = bounded_least_squares(
+                gram[np.ix_(kept, kept)], products[row : row + 1, kept], lower[kept], upper[kept]
+            )[0]
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:

@@ -18,6 +18,7 @@ import numpy as np
 
 from ..arrays import FloatArray
 from ..assets import ASSETS
+from ..coefficient_names import EXCLUSIVE_NAMES
 from ..errors import SourceError
 from ..reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
 from .arkit import COEFFICIENTS
@@ -35,6 +36,9 @@ _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
 """Ridge of equation 9.6 towards the gains of the given table."""
+_FIRMNESS = 1e5
+"""Weight of the given values in `KeyMap.invert`, relative to the coefficients that are near: far more, but well within
+double precision."""
 _MIN_GAIN = 0.01
 """Smallest learnt gain that is kept."""
 
@@ -132,6 +136,36 @@ class KeyMap:
                 values[key] = np.clip(np.asarray(mixed), *ranges[key])
         return values
 
+    def invert(self, values: Mapping[str, FloatArray], near: FloatArray) -> FloatArray:
+        """Compute coefficients from the values of shape keys.
+
+        Parameters
+        ----------
+        values : mapping of str to (N,) float64
+            Values of all keys in the table.
+        near : (N, 52) float64
+            Coefficients, 0 to 1, to which the result is as near as the values permit, unless each key is a coefficient.
+
+        Returns
+        -------
+        (N, 52) float64
+            Coefficients, 0 to 1, for which `apply` gives the values. If each key of the table is a coefficient, they
+            are those values, and others are 0.
+        """
+        names = COEFFICIENTS
+        if len(self.rows) == len(self.keys) == len(self.sources) and all(row.gain for row in self.rows):
+            found = np.zeros((len(near), len(names)))
+            for row in self.rows:
+                found[:, names.index(row.source)] = (values[row.key] - row.offset) / row.gain
+            return np.clip(found, 0.0, 1.0)
+        gains, wanted = np.zeros((len(self.keys), len(names))), np.column_stack([values[key] for key in self.keys])
+        for row in self.rows:
+            gains[self.keys.index(row.key), names.index(row.source)] += row.gain
+            wanted[:, self.keys.index(row.key)] -= row.offset
+        gram = _FIRMNESS * gains.T @ gains + np.eye(len(names))
+        products = _FIRMNESS * wanted @ gains + near
+        return bounded_least_squares(gram, products, np.zeros(len(names)), np.ones(len(names)))
+
     def matched(self, keys: Iterable[str]) -> KeyMap:
         """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
         known = {normalised(key): key for key in reversed(list(keys))}
@@ -198,6 +232,13 @@ def expression_keys(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset, or all if none is."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
     return [key for key in keys if normalised(key) in known] or list(keys)
+
+
+def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
+    """Return the pairs of `keys`, by position, that are named as ARKit's coefficients which exclude each other."""
+    places = {normalised(key): place for place, key in reversed(list(enumerate(keys)))}
+    pairs = (tuple(places.get(normalised(name), -1) for name in pair) for pair in EXCLUSIVE_NAMES)
+    return [(one, other) for one, other in pairs if one >= 0 and other >= 0]
 
 
 def normalised(name: str) -> str:

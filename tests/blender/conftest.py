@@ -18,7 +18,8 @@ from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
-from facemime.settings.values import write_calibration
+from facemime.settings import storage
+from facemime.settings.performers import write_calibration
 from takes import performance
 
 _ENDING = 120
@@ -33,7 +34,16 @@ def pytest_unconfigure(config):
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _registered():
+def _own_documents(tmp_path_factory):
+    """Keep files out of the documents and the settings of whoever runs the tests."""
+    folder = tmp_path_factory.mktemp("documents")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(storage, "documents", lambda: folder)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _registered(_own_documents):
     """Register the extension, and unregister it at the end: Blender crashes if it exits with classes registered."""
     facemime.register()
     yield

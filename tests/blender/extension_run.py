@@ -21,6 +21,9 @@ def main() -> dict:
     import addon_utils
 
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    earlier = repository(bpy).parent / ".user" / "user_default" / "facemime" / "takes" / "earlier.facetake"
+    earlier.parent.mkdir(parents=True)
+    earlier.touch()
     bpy.ops.extensions.package_install_files(
         filepath=ARCHIVE, repo="user_default", enable_on_install=True, overwrite=True
     )
@@ -54,6 +57,7 @@ def main() -> dict:
     measured |= bake_every_way(bpy, head)
     head.vertex_groups.clear()
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"} and bpy.ops.facemime.check_head() == {"FINISHED"}
+    own = keep_files(bpy)
     for _ in range(2):
         addon_utils.disable(MODULE)
         assert not hasattr(bpy.types.Scene, "facemime")
@@ -62,7 +66,18 @@ def main() -> dict:
     bpy.ops.preferences.addon_disable(module=MODULE)
     bpy.ops.extensions.package_uninstall(repo_directory=str(repository(bpy)), pkg_id="facemime")
     assert not (repository(bpy) / "facemime").exists(), "the extension was not removed"
+    assert all(path.is_file() for path in own), "a take or preset was removed with the extension"
+    assert (own[0].parent / "earlier.facetake").is_file() and not earlier.exists()
     return measured
+
+
+def keep_files(bpy) -> list[Path]:
+    """Keep a take of the clip and a preset before the .blend file is saved; return their paths."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    assert bpy.ops.facemime.add_head() == bpy.ops.facemime.puppet_video(filepath=CLIP) == {"FINISHED"}
+    assert bpy.ops.facemime.save_preset(name="Mine") == {"FINISHED"}
+    presets = importlib.import_module(f"{MODULE}.settings.presets")
+    return [Path(bpy.context.scene.facemime_takes.items[0].path), presets.path_of("Mine")]
 
 
 def bake_every_way(bpy, head) -> dict:
@@ -119,5 +134,5 @@ def repository(bpy) -> Path:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as profile:
-        os.environ["BLENDER_USER_RESOURCES"] = profile
+        os.environ["BLENDER_USER_RESOURCES"] = os.environ["HOME"] = profile
         print(json.dumps(main()))

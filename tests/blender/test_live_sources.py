@@ -6,14 +6,14 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
+from facemime.settings.performers import calibration_of, forget, read_calibration
 from facemime.settings.preferences import preferences
-from facemime.settings.values import read_calibration
 from live_ticks import start, tick, ticks_until, wait_for
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
-def test_calibrations_are_stored_in_the_scene_by_performer(take):
+def test_each_performer_has_a_calibration(take):
     add_head(bpy.context)
     settings = bpy.context.scene.facemime
     settings.source.loop = True
@@ -25,7 +25,7 @@ def test_calibrations_are_stored_in_the_scene_by_performer(take):
     start()
     assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
     assert running().countdown is not None
-    ticks_until(lambda: settings.performers[1].calibration)
+    ticks_until(lambda: calibration_of(settings.performers[1]))
     assert settings.performer == 1 and running().worker.quality is not None
     np.testing.assert_array_equal(read_calibration(settings).shape, running().worker.neutral.shape)
     bpy.ops.facemime.stop_puppet()
@@ -88,6 +88,8 @@ def test_buttons_are_enabled_only_when_they_can_run(looping):
 
 def test_a_damaged_calibration_is_reported(take):
     add_head(bpy.context)
-    bpy.context.scene.facemime.performers[0].calibration = '{"shape": 3}'
+    performer = bpy.context.scene.facemime.performers[0]
+    forget(performer)
+    performer.calibration = '{"shape": 3}'
     with pytest.raises(RuntimeError, match="Calibrate again"):
         bpy.ops.facemime.puppet()

@@ -318,7 +318,7 @@ def test_takes_and_the_key_table_are_listed_with_their_operators(tmp_path):
         assert f"facemime.{operator}" in draw(FACEMIME_PT_takes)
     for operator in ("punch_in_take", "add_sound", "take_from_animation", "renew_neutral"):
         assert f"facemime.{operator}" in draw(FACEMIME_MT_takes)
-    assert "Unpack Take" in draw(FACEMIME_MT_takes) and "user folder" in draw(FACEMIME_PT_takes)
+    assert "Unpack Take" in draw(FACEMIME_MT_takes) and "in your documents" in draw(FACEMIME_PT_takes)
     bpy.ops.facemime.detect_key_map()
     assert "key_blocks" in draw(FACEMIME_PT_key_map)
     bpy.context.view_layer.objects.active = head.children[0]

@@ -27,8 +27,9 @@ from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
+from facemime.settings.performers import read_calibration, write_calibration
 from facemime.settings.preferences import preferences
-from facemime.settings.values import open_sender, open_source, read_calibration, write_calibration
+from facemime.settings.values import open_sender, open_source
 from links import all_the_time, free_port, performing, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
 from takes import coefficient_take, performance
@@ -355,7 +356,7 @@ def test_a_pairing_needs_online_access_and_a_complete_line(pairing, online):
 
 
 def test_vtube_studio_receives_tracked_faces(take, tmp_path, monkeypatch):
-    monkeypatch.setattr("facemime.settings.values.user_folder", lambda name: tmp_path / name)
+    monkeypatch.setattr("facemime.settings.values.private_folder", lambda name: tmp_path / name)
     add_head(bpy.context)
     settings, studio = bpy.context.scene.facemime, Studio()
     settings.source.loop = True

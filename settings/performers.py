@@ -1,0 +1,119 @@
+"""Performers and their calibrations, which are the shapes of their faces.
+
+They are remembered until Blender quits, and stored in the .blend file only if the user asks for it.
+"""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+from uuid import uuid4
+
+import bpy
+
+from ..core.errors import FacemimeError
+from ..core.takes.neutral import Neutral
+
+if TYPE_CHECKING:
+    from .properties import FacemimePerformer, FacemimeSettings
+
+_session: dict[str, str] = {}
+"""Calibrations of this session as JSON, by the keys of the performers."""
+
+
+def calibration_of(performer: FacemimePerformer) -> str:
+    """Return the calibration of a performer as JSON, of this session or else of the file; "" if there is none."""
+    return _session.get(performer.key) or str(performer.calibration)
+
+
+def read_calibration(settings: FacemimeSettings) -> Neutral | None:
+    """Return the calibration of the selected performer; None if there is none.
+
+    Raises
+    ------
+    SourceError
+        If the stored calibration is damaged.
+    """
+    performer = selected_performer(settings)
+    text = "" if performer is None else calibration_of(performer)
+    return Neutral.from_json(text) if text else None
+
+
+def selected_performer(settings: FacemimeSettings) -> FacemimePerformer | None:
+    """Return the selected performer; None if there is none."""
+    known = 0 <= settings.performer < len(settings.performers)
+    return settings.performers[settings.performer] if known else None
+
+
+def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
+    """Remember `neutral` for the selected performer, or a new one, and return the performer's name.
+
+    It is stored in the .blend file only if the user has asked for that.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    neutral : Neutral
+    """
+    if selected_performer(settings) is None:
+        add_performer(settings)
+    performer = settings.performers[settings.performer]
+    performer.key = performer.key or uuid4().hex
+    _session[performer.key] = json.dumps(neutral.to_dict())
+    if settings.keep_calibrations:
+        performer.calibration = _session[performer.key]
+    return str(performer.name)
+
+
+def add_performer(settings: FacemimeSettings, name: str = "") -> None:
+    """Add a performer and select it; without a `name` it is numbered.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+    name : str, optional
+    """
+    taken = {performer.name for performer in settings.performers}
+    performer = settings.performers.add()
+    number = len(settings.performers)
+    performer.name = name or next(f"Performer {n}" for n in range(number, number + 99) if f"Performer {n}" not in taken)
+    settings.performer = len(settings.performers) - 1
+
+
+def remove_performer(settings: FacemimeSettings) -> None:
+    """Remove the selected performer; raises FacemimeError if there is none."""
+    if not 0 <= settings.performer < len(settings.performers):
+        raise FacemimeError("No performer is selected. Select one in the list.")
+    settings.performers.remove(settings.performer)
+    settings.performer = min(settings.performer, len(settings.performers) - 1)
+
+
+def forget(performer: FacemimePerformer) -> None:
+    """Remove the calibration of a performer from the session and the file."""
+    _session.pop(performer.key, None)
+    performer.calibration = ""
+
+
+def follow_keeping(settings: FacemimeSettings, context: bpy.types.Context) -> None:
+    """Store the calibrations of a scene in the file, or remove them from it, as its setting says."""
+    for performer in settings.performers:
+        text = calibration_of(performer)
+        if text:
+            performer.key = performer.key or uuid4().hex
+            _session[performer.key] = text
+        performer.calibration = text if settings.keep_calibrations else ""
+
+
+def stored_performers() -> list[FacemimePerformer]:
+    """Return the performers whose calibrations are stored in the open .blend file, of all its scenes."""
+    scenes = [scene for scene in bpy.data.scenes if scene.library is None]
+    return [performer for scene in scenes for performer in scene.facemime.performers if performer.calibration]
+
+
+def clear_file() -> None:
+    """Remove the calibrations of all performers from the open .blend file, and store none from now on."""
+    for scene in bpy.data.scenes:
+        if scene.library is None:
+            scene.facemime.keep_calibrations = False
+            for performer in scene.facemime.performers:
+                performer.calibration = ""

@@ -1,0 +1,84 @@
+"""The performer's face is in the .blend file only on request."""
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.heads.built_in import add_head
+from facemime.core.live.sources import TakePlayer
+from facemime.core.live.worker import LiveWorker
+from facemime.core.takes.neutral import calibrate
+from facemime.sessions import live
+from facemime.settings.performers import read_calibration, stored_performers, write_calibration
+from live_ticks import start, ticks_until
+from takes import performance
+
+NEUTRAL = replace(calibrate(performance()), asked=True)
+
+
+@pytest.fixture
+def settings(in_a_project):
+    return bpy.context.scene.facemime
+
+
+def saved_and_opened():
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=bpy.data.filepath)
+    return bpy.context.scene.facemime
+
+
+def test_a_calibration_is_for_the_session_and_not_in_the_file(settings):
+    write_calibration(settings, NEUTRAL)
+    settings = saved_and_opened()
+    assert [performer.name for performer in settings.performers] == ["Performer 1"] and not stored_performers()
+    np.testing.assert_array_equal(read_calibration(settings).shape, NEUTRAL.shape)
+
+
+def test_a_calibration_is_kept_in_the_file_on_request_and_removed_by_a_button(settings):
+    write_calibration(settings, NEUTRAL)
+    settings.keep_calibrations = True
+    settings = saved_and_opened()
+    assert len(stored_performers()) == 1
+    assert bpy.ops.facemime.clear_calibrations() == {"FINISHED"}
+    settings = saved_and_opened()
+    assert not stored_performers() and not settings.keep_calibrations
+    assert not bpy.ops.facemime.clear_calibrations.poll()
+    np.testing.assert_array_equal(read_calibration(settings).shape, NEUTRAL.shape)
+
+
+def test_a_calibration_made_after_the_request_is_kept_as_well_until_it_is_withdrawn(settings):
+    settings.keep_calibrations = True
+    write_calibration(settings, NEUTRAL)
+    assert len(stored_performers()) == 1
+    settings.keep_calibrations = False
+    assert not stored_performers() and read_calibration(settings) is not None
+
+
+def test_the_button_removes_faces_of_all_scenes_and_of_files_from_before(settings):
+    write_calibration(settings, NEUTRAL)
+    settings.keep_calibrations = True
+    bpy.ops.scene.new(type="FULL_COPY")
+    assert len(stored_performers()) == 2
+    assert bpy.ops.facemime.clear_calibrations() == {"FINISHED"} and not stored_performers()
+
+
+def test_resetting_forgets_the_face_in_the_session_and_in_the_file(settings):
+    settings.keep_calibrations = True
+    write_calibration(settings, NEUTRAL)
+    assert bpy.ops.facemime.reset_calibration() == {"FINISHED"}
+    assert read_calibration(settings) is None and not stored_performers()
+
+
+def test_what_a_camera_teaches_about_the_performer_is_not_written_to_the_file(settings, take, monkeypatch):
+    monkeypatch.setattr(live, "_KEEPING", 0.0)
+    monkeypatch.setattr(LiveWorker, "learnt", property(lambda _: NEUTRAL))
+    monkeypatch.setattr("facemime.sessions.start.open_source", lambda _: TakePlayer(take, "camera", loop=True))
+    settings.source.kind = "CAMERA"
+    bpy.ops.facemime.reset_calibration()
+    add_head(bpy.context)
+    start()
+    ticks_until(lambda: read_calibration(settings) is not None)
+    bpy.ops.facemime.stop_puppet()
+    assert not stored_performers() and settings.performers[0].calibration == ""
