@@ -6,6 +6,7 @@ user's values are in a custom property, as the channels hold the sum.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from typing import Any, NamedTuple
 
 import bpy
@@ -17,6 +18,8 @@ from .names import OWN_POSE_PROPERTY
 Posable = bpy.types.Object | bpy.types.PoseBone
 _ROTATIONS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
 """Channels by rotation mode; all other modes are orders of Euler angles."""
+_LIVE = "live"
+"""Mark of a pose that a session sets, rather than a bake."""
 _SAME = 1e-5
 """Largest difference between two values of a channel that are equal: Blender stores single precision."""
 
@@ -70,9 +73,26 @@ def hold_own(owner: Posable) -> None:
     owner[OWN_POSE_PROPERTY] = stored
 
 
+def begin_live(owner: Posable) -> None:
+    """End what an earlier session left, and remember the user's own pose until the session that begins has ended."""
+    release_own(owner)
+    hold_own(owner)
+    owner[OWN_POSE_PROPERTY] = {**_stored(owner), _LIVE: True}
+
+
+def release_live(but: Collection[bpy.types.ID] = ()) -> None:
+    """Give all objects and bones that a session posed the user's own pose back, except those of some objects."""
+    for obj in bpy.data.objects:
+        if obj.library is None and obj not in but:
+            for owner in (obj, *(obj.pose.bones if obj.pose is not None else ())):
+                if _LIVE in (_stored(owner) or ()):
+                    release_own(owner)
+
+
 def keep_pose(owner: Posable) -> None:
     """Note that a session leaves its pose, to which the next one is not added unless the user changes it."""
     if (stored := _stored(owner)) is not None:
+        stored.pop(_LIVE, None)
         owner[OWN_POSE_PROPERTY] = {**stored, "kept": [*_channels(owner)["location"], *_channels(owner)["rotation"]]}
 
 
@@ -84,6 +104,8 @@ def release_own(owner: Posable) -> None:
     if not _was_changed(owner, stored):
         _write(owner, stored)
     if _is_baked(owner):
+        stored.pop(_LIVE, None)
+        owner[OWN_POSE_PROPERTY] = stored
         return
     del owner[OWN_POSE_PROPERTY]
     if (mode := stored.get("before")) is not None and owner.rotation_mode == "QUATERNION":

@@ -25,11 +25,12 @@ class Viewport(NamedTuple):
 
 
 def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
-    """Yield the 3D Viewports of a screen; none if there is no screen."""
+    """Yield the 3D Viewports of a screen, each view of a Quad View by itself; none if there is no screen."""
     for area in () if screen is None else screen.areas:
         if area.type == "VIEW_3D":
-            region = next(region for region in area.regions if region.type == "WINDOW")
-            yield Viewport(region, area.spaces.active.region_3d, area)
+            for region in area.regions:
+                if region.type == "WINDOW":
+                    yield Viewport(region, region.data, area)
 
 
 def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | None:
@@ -56,12 +57,14 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
 def viewport_of(context: bpy.types.Context) -> Viewport | None:
     """Return the 3D Viewport that is in use, otherwise the largest one of the window; None without any."""
     here = [viewport for viewport in viewports(context.screen) if viewport.area == context.area]
-    return here[0] if here else largest_viewport(context.screen)
+    return here[-1] if here else largest_viewport(context.screen)
 
 
 def largest_viewport(screen: bpy.types.Screen | None) -> Viewport | None:
-    """Return the largest 3D Viewport of a screen; None without any."""
-    return max(viewports(screen), key=lambda viewport: viewport.region.width * viewport.region.height, default=None)
+    """Return the largest 3D Viewport of a screen, in Quad View that of the user's perspective; None without any."""
+    size = {viewport.area: viewport.area.width * viewport.area.height for viewport in viewports(screen)}
+    largest = max(size, key=lambda area: size[area], default=None)
+    return next((viewport for viewport in reversed(list(viewports(screen))) if viewport.area == largest), None)
 
 
 def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
@@ -127,32 +130,46 @@ def show_alone(context: bpy.types.Context, own: Collection[bpy.types.Object]) ->
         obj.local_view_set(context.space_data, obj in own or obj.type in _LIGHTS)
 
 
-def toolbar_width(area: bpy.types.Area) -> float:
-    """Return how much of a viewport the toolbar covers on the left, pixels."""
-    return _covered(area, "LEFT", {"TOOLS"})
+class FreeBox(NamedTuple):
+    """Edges of the part of a viewport that no other region covers, pixels from the lower left corner of the region."""
+
+    left: float
+    bottom: float
+    right: float
+    top: float
 
 
-def visible_span(area: bpy.types.Area, region: bpy.types.Region) -> tuple[float, float]:
-    """Return the left and right ends of the part of a viewport that the toolbar and Sidebar do not cover, pixels.
+_BELOW = {"HUD", "ASSET_SHELF", "ASSET_SHELF_HEADER"}
+_ACROSS, _BESIDE = _BELOW | {"HEADER", "TOOL_HEADER"}, {"TOOLS", "UI"}
+"""Types of the regions that Blender draws over a viewport: those as wide as it is, and those at its sides."""
+
+
+def free_box(area: bpy.types.Area, region: bpy.types.Region) -> FreeBox:
+    """Return the part of a viewport that toolbar, Sidebar, headers, asset shelf and redo panel do not cover.
 
     Parameters
     ----------
     area : bpy.types.Area
     region : bpy.types.Region
-        Its main region.
+        Its main region, or one of those of Quad View.
     """
-    left, right = (_covered(area, side, {"TOOLS", "UI"}) for side in ("LEFT", "RIGHT"))
-    return left, max(region.width - right, left)
+    left, bottom, right, top = 0.0, 0.0, float(region.width), float(region.height)
+    for other in area.regions:
+        if other.type == "WINDOW" or min(other.width, other.height) <= 1 or not _overlap(other, region):
+            continue
+        if other.type in _ACROSS:
+            if other.type in _BELOW or other.alignment == "BOTTOM":
+                bottom = max(bottom, other.y + other.height - region.y)
+            else:
+                top = min(top, other.y - region.y)
+        elif other.type in _BESIDE:
+            if other.x + other.width / 2 < region.x + region.width / 2:
+                left = max(left, other.x + other.width - region.x)
+            else:
+                right = min(right, other.x - region.x)
+    return FreeBox(left, bottom, max(right, left), max(top, bottom))
 
 
-def _covered(area: bpy.types.Area, side: str, kinds: set[str]) -> float:
-    """Return the width of the regions of these kinds that lie over the viewport on one side."""
-    if not bpy.context.preferences.system.use_region_overlap:
-        return 0.0
-    over = [region for region in area.regions if region.type in kinds and region.alignment == side]
-    return float(sum(region.width for region in over if region.width > 1))
-
-
-def redo_height(area: bpy.types.Area) -> float:
-    """Return how much of a viewport the panel of the last operator covers below, pixels."""
-    return float(max((region.height for region in area.regions if region.type == "HUD"), default=0.0))
+def _overlap(a: bpy.types.Region, b: bpy.types.Region) -> bool:
+    across = a.x < b.x + b.width and b.x < a.x + a.width
+    return across and a.y < b.y + b.height and b.y < a.y + a.height

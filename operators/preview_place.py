@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import bpy
 
-from ..blender.viewports import Viewport, largest_viewport, redo_height, redraw, toolbar_width, viewport_under
+from ..blender.viewports import Viewport, free_box, largest_viewport, redraw, viewport_under
 from ..sessions.live import LiveSession
 from ..settings.preferences import FacemimePreferences, preferences
 
@@ -26,7 +26,9 @@ class Box(NamedTuple):
 
 
 def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[int, int]) -> Box:
-    """Return where the preview is drawn: where the user placed it, or in the lower left corner; always in view.
+    """Return where the preview is drawn: where the user placed it, or in the lower left corner.
+
+    It is always in view, clear of what covers the viewport, and at most a quarter of the rest.
 
     Parameters
     ----------
@@ -36,25 +38,28 @@ def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[i
         Height and width of the picture, pixels.
     """
     user, scale = preferences(), bpy.context.preferences.system.ui_scale
-    width = user.preview_size * scale
-    height = width * picture[0] / picture[1]
-    left = toolbar_width(area) + (MARGIN + user.preview_place[0]) * scale
-    bottom = redo_height(area) + (MARGIN + user.preview_place[1]) * scale
-    return Box(max(0.0, min(left, region.width - width)), max(0.0, min(bottom, region.height - height)), width, height)
+    free, aspect = free_box(area, region), picture[0] / picture[1]
+    width = min(user.preview_size * scale, (free.right - free.left) / 2, (free.top - free.bottom) / 2 / aspect)
+    height = width * aspect
+    left = free.left + (MARGIN + user.preview_place[0]) * scale
+    bottom = free.bottom + (MARGIN + user.preview_place[1]) * scale
+    return Box(
+        max(free.left, min(left, free.right - width)), max(free.bottom, min(bottom, free.top - height)), width, height
+    )
 
 
-def has_preview(screen: bpy.types.Screen, area: bpy.types.Area) -> bool:
-    """Return whether the preview is in this 3D Viewport, which is the largest one of the screen.
+def has_preview(screen: bpy.types.Screen, region: bpy.types.Region) -> bool:
+    """Return whether the preview is in this region, which is the largest 3D Viewport of the screen.
 
     Parameters
     ----------
     screen : bpy.types.Screen
         The screen.
-    area : bpy.types.Area
-        One of its areas.
+    region : bpy.types.Region
+        A region of one of its areas.
     """
     largest = largest_viewport(screen)
-    return largest is not None and largest.area == area
+    return largest is not None and largest.region == region
 
 
 class PreviewDrag:
@@ -84,7 +89,7 @@ class PreviewDrag:
         seen, session = viewport_under(context, event.mouse_x, event.mouse_y), LiveSession.running()
         if seen is None or session is None or session.shown is None or session.shown.preview is None:
             return False
-        if not has_preview(context.screen, seen.area):
+        if not has_preview(context.screen, seen.region):
             return False
         box = preview_box(seen.area, seen.region, session.shown.preview.shape[:2])
         right, up = event.mouse_x - seen.region.x - box.left, event.mouse_y - seen.region.y - box.bottom

@@ -2,6 +2,8 @@
 
 import bpy
 
+from ..blender.animation.live import LiveHeadObject
+from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import CONTEXT
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
@@ -50,7 +52,9 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _scene = ""
     _clicked = False
     _drag: PreviewDrag | None = None
+    _display: FaceDisplay | None = None
     _redrawn_at = 0.0
+    _heads: tuple[LiveHeadObject, ...] = ()
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -59,7 +63,9 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> set[str]:
         """Start the session, and continue at every tick of a timer."""
-        self._session = start_session(context.scene, heads_in(context))
+        heads = heads_in(context)
+        self._session = start_session(context.scene, heads)
+        self._display = FaceDisplay(heads, bones=_hides_bones(context))
         self._rigs = RigWatch(self._session)
         self._scene, self._drag = context.scene.name, PreviewDrag()
         self._session.operator = self
@@ -79,9 +85,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             and viewport_under(context, event.mouse_x, event.mouse_y) is not None
         ):
             return {"RUNNING_MODAL"} if self._session.cancel_countdown() else self.finish(context)
-        if event.type == "Z" and event.value == "PRESS" and (event.ctrl or event.oskey):
-            self._session.keep = False
-            return self.finish(context)
         if self._drag.handle(context, event):
             return {"RUNNING_MODAL"}
         if event.value in ("PRESS", "CLICK"):
@@ -101,8 +104,11 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     def tick(self, context: bpy.types.Context) -> set[str]:
         """Show the newest result and follow the settings."""
         session = self._session
+        self._display.bones = _hides_bones(context)
         if (scene := bpy.data.scenes.get(self._scene)) is not None:
             follow_settings(session, scene)
+        if (heads := tuple(session.heads)) != self._heads:  # an undo has replaced them
+            self._heads, self._clicked = heads, True
         if self._clicked and not _painting(context):
             self._clicked = False
             self._rigs.look()
@@ -136,6 +142,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
     def release(self) -> None:
         """End the timer; called by the session when it is closed."""
+        if self._display is not None:
+            self._display.close()
         if self._timer is not None:
             bpy.context.window_manager.event_timer_remove(self._timer)
             for workspace in bpy.data.workspaces:
@@ -157,6 +165,12 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet."""
         return require(cls, running() is not None, "No puppet is running")
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Let Esc cancel the countdown of a recording first, as in the window in which the puppet was started."""
+        if event.type == "ESC" and running().cancel_countdown():
+            return {"FINISHED"}
+        return self.execute(context)
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """End the session; the modal operator ends at the next event."""
@@ -185,17 +199,33 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
         return {"FINISHED"}
 
 
+def _hides_bones(context: bpy.types.Context) -> bool:
+    """Return whether bones are hidden: not while somebody poses them."""
+    return bool(context.scene.facemime.hide_bones) and context.mode != "POSE"
+
+
 def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
-    """Draw the keys of a running puppet in the status bar."""
-    row = header.layout.row()
-    row.label(text="Stop Puppet", text_ctxt=CONTEXT, icon="EVENT_ESC")
-    session = running()
+    """Draw the status bar while a puppet is running: its keys, or those of what has the keyboard, such as Move."""
+    layout, session = header.layout, running()
     recording = session is not None and session.recording is not None
-    for icon in ("EVENT_SHIFT", "EVENT_ALT", "EVENT_R"):
-        row.label(text="", icon=icon)
-    row.label(text="Stop Recording" if recording else "Record", text_ctxt=CONTEXT)
+    if _is_busy(context.window):
+        layout.template_input_status()
+    else:
+        row = layout.row()
+        row.label(text="Stop Puppet", text_ctxt=CONTEXT, icon="EVENT_ESC")
+        for icon in ("EVENT_SHIFT", "EVENT_ALT", "EVENT_R"):
+            row.label(text="", icon=icon)
+        row.label(text="Stop Recording" if recording else "Record", text_ctxt=CONTEXT)
     if recording:
-        row.label(text="Recording", text_ctxt=CONTEXT, icon="REC")
+        layout.label(text="Recording", text_ctxt=CONTEXT, icon="REC")
+    layout.separator_spacer()
+    layout.template_reports_banner()
+
+
+def _is_busy(window: bpy.types.Window | None) -> bool:
+    """Return whether another operator than the puppet handles the events of a window first."""
+    running_there = [] if window is None else window.modal_operators
+    return any(op is not None and op.bl_idname != FACEMIME_OT_puppet.__name__ for op in running_there)
 
 
 def _painting(context: bpy.types.Context) -> bool:

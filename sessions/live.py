@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
 import bpy
 
 from ..blender.animation.live import LiveHeadObject, require_one_left
+from ..blender.animation.live_mesh import clear_all_live
 from ..blender.media.sounds import beep
 from ..blender.messages import show_error
 from ..blender.undo import push_undo
@@ -23,6 +25,7 @@ from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
 from ..core.streams.vertices import VertexSender
 from ..core.takes.neutral import Neutral
 from ..settings.preferences import preferences
+from ..settings.takes_store import add, is_listed
 from .countdown import COUNTDOWN, Calibration, DelayedRecording
 from .punch_in import PunchIn
 from .recording import Recording
@@ -67,8 +70,6 @@ class LiveSession(Session):
         The setting by which the heads are driven now.
     shown : LiveResult or None
         The result on display; the worker may have a newer one.
-    warning : str
-        The error at the end; "" if there was none.
     operator : bpy.types.Operator or None
         The modal operator that calls `step`, which Blender itself keeps only if there is a window. Its `release` is
         called when the session is closed.
@@ -90,13 +91,13 @@ class LiveSession(Session):
         output: Output | None = None,
     ) -> None:
         super().__init__()
-        self.stopwatch, self.keep, self.warning = Stopwatch(), False, ""
+        self.stopwatch, self.keep = Stopwatch(), False
         self.drive_by = ""
         self.shown: LiveResult | None = None
         self.operator: Any = None
         self.recording: Recording | None = None
         self.punch_in: PunchIn | None = None
-        self._objects = [shown for shown, _ in heads]
+        self.heads = [shown for shown, _ in heads]
         self._on_calibrated, self._on_learnt = on_calibrated, on_learnt
         self._learnt: Neutral | None = None
         self._kept_at = perf_counter()
@@ -104,24 +105,21 @@ class LiveSession(Session):
         self._delayed: DelayedRecording | None = None
         self._displayed_at: float | None = None
         self._number = 0
+        self._recorded: list[tuple[str, Path]] = []
+        self._listed: list[tuple[str, Path]] = []
         self._written: tuple[HeadFrame, ...] = ()
         self._viewer: ViewerServer | None = None
         self._vertices: VertexSender | None = None
         driven = tuple(head for _, head in heads)
         self.worker = LiveWorker(source, neutral=neutral, heads=driven, options=options, output=output)
         try:
-            for shown in self._objects:
+            for shown in self.heads:
                 shown.attach()
         except Exception:
             self.close()
             raise
         push_undo("Start Puppet")
         self.worker.start()
-
-    @property
-    def objects(self) -> Sequence[LiveHeadObject]:
-        """Heads in the scene."""
-        return self._objects
 
     def step(self) -> bool:
         """Display the newest result and return whether there was a new one.
@@ -132,6 +130,7 @@ class LiveSession(Session):
             If the worker failed, its exception; HeadError if a head was changed, or all were deleted.
         """
         self._measure_redraw()
+        self.rest_copies()
         self._continue_calibration()
         self._keep_learnt()
         self._start_delayed()
@@ -142,9 +141,9 @@ class LiveSession(Session):
             return False
         fetched = perf_counter()
         self._number, self.shown = latest.number, latest
-        require_one_left(self._objects)
-        before = self._written + (None,) * len(self._objects)
-        for shown, frame, flat, written in zip(self._objects, latest.heads, latest.prepared, before, strict=False):
+        require_one_left(self.heads)
+        before = self._written + (None,) * len(self.heads)
+        for shown, frame, flat, written in zip(self.heads, latest.heads, latest.prepared, before, strict=False):
             if frame is not written and not shown.gone:
                 shown.write(frame, flat)
         self._written = latest.heads
@@ -264,7 +263,7 @@ class LiveSession(Session):
             If there is a recording already, or the file cannot be created.
         """
         self._require_no_recording()
-        names = ["" if shown.gone else shown.obj.name for shown in self._objects]
+        names = ["" if shown.gone else shown.obj.name for shown in self.heads]
         self.recording = Recording(self.worker, scene, name, names)
         self.attend_later()
         return self.recording
@@ -330,14 +329,27 @@ class LiveSession(Session):
                 show_error(str(error))
         super().attend()
 
+    def before_undo(self) -> None:
+        """Also note which recordings are in the list."""
+        self._listed = [(name, path) for name, path in self._recorded if _lists(name, path)]
+        super().before_undo()
+
+    def survives_undo(self) -> bool:
+        """Also list the recordings again that the undo has dropped: what was performed is not a step to undo."""
+        survives = super().survives_undo()
+        for name, path in self._listed:
+            if not _lists(name, path) and (scene := bpy.data.scenes.get(name)) is not None:
+                add(scene, path)
+        return survives
+
     def suspend(self) -> None:
         """Restore the heads while the file is saved."""
-        for shown in self._objects:
+        for shown in self.heads:
             shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Display the heads again after `suspend`."""
-        for shown in self._objects:
+        for shown in self.heads:
             shown.attach()
         self._number, self._written = 0, ()
 
@@ -360,7 +372,8 @@ class LiveSession(Session):
         operator, self.operator = self.operator, None
         if operator is not None:
             operator.release()
-        removed = [shown.detach(keep=self.keep, blocks=blocks) for shown in self._objects]
+        removed = [shown.detach(keep=self.keep, blocks=blocks) for shown in self.heads]
+        removed.append(clear_all_live(blocks=blocks, but=self.blocks))
         if any(removed):
             push_undo("Stop Puppet")
         elif self.keep and blocks:
@@ -382,7 +395,8 @@ class LiveSession(Session):
         if recording is None or recording.running:
             return
         self.recording = None
-        if recording.add_to_list():
+        if listed := recording.add_to_list():
+            self._recorded += listed
             push_undo("Record Take")
 
     def _continue_punch_in(self) -> None:
@@ -434,3 +448,9 @@ def _signal() -> None:
     """Signal to the performer that something has started or ended, unless the user has turned sounds off."""
     if preferences().sounds:
         beep()
+
+
+def _lists(name: str, path: Path) -> bool:
+    """Return whether the scene of that name has the take of a file in its list."""
+    scene = bpy.data.scenes.get(name)
+    return scene is not None and is_listed(scene, path)

@@ -133,8 +133,8 @@ class Recording:
         """Whether frames can still be added."""
         return not self.closed and self._worker.recording_error is None
 
-    def add_to_list(self) -> bool:
-        """Add a recording that has ended to the list, and return whether there is a file to be added.
+    def add_to_list(self) -> list[tuple[str, Path]]:
+        """Add a recording that has ended to the list, and return the scene and the file of each take that was added.
 
         Raises
         ------
@@ -146,13 +146,13 @@ class Recording:
                 self.close()
         scene = bpy.data.scenes.get(self._scene)
         if scene is None:
-            return False
+            return []
         there = [part for part in reversed(self._parts()) if part.path.is_file()]
         if any(part.frames for part in there):
             there = [part for part in there if part.frames]
         for part in there:
             add(scene, part.path)
-        return bool(there)
+        return [(scene.name, part.path) for part in there]
 
     def _parts(self) -> list[_Part]:
         return [self._main, *tuple(self._others.values())]

@@ -9,8 +9,10 @@ from __future__ import annotations
 import atexit
 from typing import Self
 
+import bpy
 from bpy.app.handlers import persistent
 
+from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.registering import watch
 from ..core.errors import HeadError
@@ -25,6 +27,10 @@ class Session:
     ----------
     closed : bool
         Whether the session has ended.
+    warning : str
+        What is to be reported at the end; "" for nothing.
+    heads : list of LiveHeadObject
+        The heads that it moves.
     """
 
     current: Session | None = None
@@ -35,6 +41,9 @@ class Session:
             previous.close()
             previous.attend()
         self.closed = self._closing = False
+        self.warning = ""
+        self.heads: list[LiveHeadObject] = []
+        self._objects_seen = len(bpy.data.objects)
         Session.current = self
 
     @classmethod
@@ -69,6 +78,28 @@ class Session:
         self.closed = True
         self._stop()
         Session.current = None
+
+    def before_undo(self) -> None:
+        """Restore the heads before an undo or redo."""
+        self.suspend()
+
+    def survives_undo(self) -> bool:
+        """Find the heads again after an undo, and return whether the step that was loaded was taken in the session."""
+        self.heads = [head.found_again() or head for head in self.heads]
+        return any(head.left_in_file for head in self.heads)
+
+    def rest_copies(self) -> None:
+        """Put objects at rest that were duplicated from those that the session moves, if there are other objects than
+        at the last call.
+        """
+        if (count := len(bpy.data.objects)) != self._objects_seen:
+            self._objects_seen = count
+            clear_all_live(blocks=False, but=self.blocks)
+
+    @property
+    def blocks(self) -> set[bpy.types.ID]:
+        """The data-blocks that the session changes."""
+        return set().union(*(head.blocks for head in self.heads))
 
     @property
     def pending(self) -> bool:
@@ -116,15 +147,24 @@ def _attend() -> float | None:
 
 @persistent
 def _close_without_removal(*_: object) -> None:
-    """Close the session before an undo or before another file is loaded, when no data-block may be removed."""
+    """Close the session before another file is loaded, when no data-block may be removed."""
     if Session.current is not None:
         Session.current.close(blocks=False)
 
 
 @persistent
 def _clear_undone(*_: object) -> None:
-    """Remove what a session displayed from an undo step that was pushed during it."""
+    """Remove what a session displayed from an undo step that was pushed during it; if it is running, it goes on."""
+    session = Session.running()
+    goes_on = session is not None and session.survives_undo()
     clear_all_live(blocks=False)
+    if session is None:
+        return
+    if goes_on:
+        _resume()
+    else:
+        session.warning = "The start of the puppet was undone, which stopped it"
+        session.close(blocks=False)
 
 
 @persistent
@@ -144,12 +184,19 @@ def _suspend(*_: object) -> None:
 
 
 @persistent
+def _before_undo(*_: object) -> None:
+    if (session := Session.running()) is not None:
+        session.before_undo()
+
+
+@persistent
 def _resume(*_: object) -> None:
     if (session := Session.running()) is not None:
         try:
             session.resume()
-        except HeadError:  # the head was changed and can no longer be driven
-            session.close()
+        except HeadError as error:  # the head was changed and can no longer be driven
+            session.warning = str(error)
+            session.close(blocks=False)
 
 
 def _abandon_current() -> None:
@@ -160,8 +207,8 @@ def _abandon_current() -> None:
 HANDLERS = {
     "load_pre": _close_without_removal,
     "load_post": _clear_opened,
-    "undo_pre": _close_without_removal,
-    "redo_pre": _close_without_removal,
+    "undo_pre": _before_undo,
+    "redo_pre": _before_undo,
     "undo_post": _clear_undone,
     "redo_post": _clear_undone,
     "save_pre": _suspend,

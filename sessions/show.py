@@ -11,6 +11,7 @@ from bpy.app.handlers import persistent
 
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import names_of
+from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.scene_range import fit_range
 from ..blender.messages import show_error
 from ..blender.registering import watch
@@ -72,13 +73,14 @@ class TakeShow(Session):
         self._performance = Performance.of(take, self._wanted.puppet)
         keys = [keys_of(scene, obj) for obj in objects]
         follow = Follow(settings.rotation, settings.translation)
-        self._heads = [
+        heads = [
             LiveHeadObject(obj, pose_targets(settings.posing, obj), follow, names_of(own))
             for obj, own in zip(objects, keys, strict=True)
         ]
         self._drivers = [self._driver(obj, own, None) for obj, own in zip(objects, keys, strict=True)]
         self._scene = scene.name
         super().__init__()
+        self.heads = heads
         bake = scene.facemime_takes.bake
         self._start = place_take(scene)
         fit_range(scene, frames_of(scene, take.times, self._start), bake.start, asked=bake.fit_range)
@@ -113,7 +115,7 @@ class TakeShow(Session):
             self._performance = Performance.of(self._recorded, wanted.puppet)
         else:
             self._performance = replace(self._performance, settings=wanted.puppet.drive)
-        for number, shown in enumerate(self._heads):
+        for number, shown in enumerate(self.heads):
             if not shown.gone:
                 keys, earlier = keys_of(scene, shown.obj), self._drivers[number]
                 driver = earlier.head if isinstance(earlier, KeyDriver) else earlier
@@ -130,25 +132,26 @@ class TakeShow(Session):
         take = self._performance.take
         away = np.where(take.found, np.abs(take.times - seconds_of(scene, self._start)), np.inf)
         result = take.result(int(away.argmin()))
-        require_one_left(self._heads)
-        for shown, driver in zip(self._heads, self._drivers, strict=True):
+        require_one_left(self.heads)
+        for shown, driver in zip(self.heads, self._drivers, strict=True):
             if not shown.gone:
                 shown.write(driver.frame(result))
 
     def suspend(self) -> None:
         """Restore the heads while the file is saved."""
-        for shown in self._heads:
+        for shown in self.heads:
             shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Display the take on the heads."""
-        for shown in self._heads:
+        for shown in self.heads:
             shown.attach()
         if (scene := bpy.data.scenes.get(self._scene)) is not None:
             self.show(scene)
 
     def _restore(self, *, blocks: bool) -> None:
-        removed = [shown.detach(keep=False, blocks=blocks) for shown in self._heads]
+        removed = [shown.detach(keep=False, blocks=blocks) for shown in self.heads]
+        removed.append(clear_all_live(blocks=blocks, but=self.blocks))
         if any(removed):
             push_undo("Stop Showing Take")
 
@@ -171,6 +174,7 @@ def _follow() -> float | None:
         return None
     scene = bpy.data.scenes.get(session.scene)
     try:
+        session.rest_copies()
         if scene is not None and session.follow(scene):
             redraw(bpy.context)
     except FacemimeError as error:

@@ -146,7 +146,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
     if session.drive_by != settings.drive_by:
         session.drive_by = settings.drive_by
         heads = []
-        for head, shown in zip(worker.heads, session.objects, strict=True):
+        for head, shown in zip(worker.heads, session.heads, strict=True):
             keys = head.keys if shown.gone else keys_of(scene, shown.obj)
             heads.append(replace(head, keys=keys))
             if not shown.gone:
@@ -159,9 +159,9 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
         session.update([replace(head, options=options) for head in worker.heads])
     if worker.output is not None:
         worker.output.options = options
-    _choose_senders(worker.source, [None if shown.gone else shown.obj for shown in session.objects])
+    _choose_senders(worker.source, [None if shown.gone else shown.obj for shown in session.heads])
     follow_viewer(session, settings)
-    for shown in session.objects:
+    for shown in session.heads:
         shown.follow = _follow(settings)
 
 
@@ -174,9 +174,9 @@ class RigWatch:
 
     def look(self) -> None:
         """Start checking all heads."""
-        living = (number for number, shown in enumerate(self._session.objects) if not shown.gone)
+        living = (number for number, shown in enumerate(self._session.heads) if not shown.gone)
         heads = self._session.worker.heads
-        self._checks = {number: rig_checks(self._session.objects[number].obj, heads[number].rig) for number in living}
+        self._checks = {number: rig_checks(self._session.heads[number].obj, heads[number].rig) for number in living}
 
     def step(self) -> None:
         """Check a slice of a head, and read the whole head again if it has changed; free if there is nothing to check.
@@ -189,7 +189,7 @@ class RigWatch:
         if not self._checks:
             return
         number, checks = next(iter(self._checks.items()))
-        shown = self._session.objects[number]
+        shown = self._session.heads[number]
         unchanged = None if shown.gone or shown.obj.mode == "EDIT" else next(checks, None)
         if not unchanged:
             del self._checks[number]

@@ -92,7 +92,7 @@ def follow_viewer(session: LiveSession, settings: FacemimeSettings) -> None:
         if wanted == (None if server is None else server.settings):
             return
         session.view(None)
-        session.view(open_viewer(settings, [None if shown.gone else shown.obj for shown in session.objects]))
+        session.view(open_viewer(settings, [None if shown.gone else shown.obj for shown in session.heads]))
     except FacemimeError as error:
         settings.viewer.enabled = False
         show_error(str(error))

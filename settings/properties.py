@@ -128,6 +128,11 @@ class FacemimeSettings(bpy.types.PropertyGroup):
         default=False,
         update=follow_keeping,
     )
+    hide_bones: BoolProperty(
+        name="Hide Bones",
+        description="While the puppet is running, hide bones, which may cover the face, except in Pose Mode",
+        default=True,
+    )
     keep_pose: BoolProperty(
         name="Keep Pose",
         description="Keep the pose when the puppet is stopped; otherwise the head returns to rest",

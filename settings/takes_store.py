@@ -205,9 +205,18 @@ def unpack(line: FacemimeTake) -> Path:
     return path
 
 
+def is_listed(scene: bpy.types.Scene, path: Path) -> bool:
+    """Return whether the take in a file is in the list."""
+    return os.path.realpath(path) in _listed(scene)
+
+
+def _listed(scene: bpy.types.Scene) -> set[str]:
+    return {os.path.realpath(located(line.path)) for line in scene.facemime_takes.items if line.path}
+
+
 def unlisted(scene: bpy.types.Scene) -> list[Path]:
     """Return the takes in the folder that are not in the list, such as removed ones."""
-    known = {os.path.realpath(located(line.path)) for line in scene.facemime_takes.items if line.path}
+    known = _listed(scene)
     return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if os.path.realpath(path) not in known)
 
 

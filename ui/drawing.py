@@ -15,6 +15,7 @@ _FONT = 0
 _LEADING = 1.4
 """Distance of lines of text, relative to their size."""
 WHITE = (1.0, 1.0, 1.0, 0.9)
+_PLATE = (0.0, 0.0, 0.0, 0.6)
 _WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff00-\uffef"
 """Characters of Chinese and Japanese, between which a line may end."""
 _OPENING = "\uff08\u300a\u300c\u201c"
@@ -106,6 +107,18 @@ def draw_text(
     blf.position(_FONT, left, place[1], 0.0)
     blf.draw(_FONT, text)
     blf.disable(_FONT, blf.SHADOW)
+
+
+def draw_plate(text: str, place: tuple[float, float], size: float) -> None:
+    """Draw a line of text on a dark plate, readable on any background; parameters as for `draw_text`."""
+    if not text:
+        return
+    blf.size(_FONT, size)
+    width, pad = blf.dimensions(_FONT, text)[0], 0.4 * size
+    low, high = np.array(place) - pad, np.array(place) + (width + pad, 0.7 * size + pad)
+    corners = np.array([low, (high[0], low[1]), high, low, high, (low[0], high[1])], dtype=np.float32)
+    draw_triangles([(corners, np.tile(np.float32(_PLATE), (6, 1)))])
+    draw_text(text, place, size)
 
 
 def draw_wrapped(text: str, place: tuple[float, float], size: float, width: float) -> None:

@@ -212,6 +212,8 @@ def register() -> None:
         keymap = configuration.keymaps.new(name="3D View", space_type="VIEW_3D")
         for operator, key in _KEYS:
             _Keys.added.append((keymap, keymap.keymap_items.new(operator, key, "PRESS", shift=True, alt=True)))
+        # The puppet itself handles Esc in the window in which it was started.
+        _Keys.added.append((keymap, keymap.keymap_items.new("facemime.stop_puppet", "ESC", "PRESS")))
 
 
 def unregister() -> None:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..blender.heads.binding import read_marks
 from ..blender.heads.placing import Placing, place_of_mark
 from ..blender.messages import interface as _
-from ..blender.viewports import redo_height, toolbar_width
+from ..blender.viewports import free_box
 from ..core.binding.bind import MARKS
 from ..core.heads.built_in import load_head
 from ..core.landmarks import EDGES, from_ibug
@@ -76,7 +76,8 @@ def _draw_guide(context: bpy.types.Context, placing: Placing, scale: float) -> N
     """Draw the small face, with the next point and its name."""
     size = _FACE * scale
     outline = size * _outline()
-    corner = np.array([toolbar_width(context.area) + MARGIN * scale, MARGIN * scale + redo_height(context.area)])
+    free = free_box(context.area, context.region)
+    corner = np.array([free.left, free.bottom]) + MARGIN * scale
     outline += corner + (np.ptp(outline[:, 0]) / 2.0, 0.0)
     draw_lines(outline[np.array(EDGES)], _LINE)
     asked = outline[from_ibug([placing.next_mark])[0]]

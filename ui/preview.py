@@ -11,11 +11,11 @@ import bpy
 import numpy as np
 
 from ..blender.messages import interface as _
-from ..blender.viewports import visible_span
+from ..blender.viewports import free_box
 from ..operators.preview_place import MARGIN, Box, has_preview, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
-from .drawing import draw_lines, draw_text, draw_wrapped
+from .drawing import draw_lines, draw_plate, draw_text, draw_wrapped
 from .status import countdown_text, latency_text
 
 _GRIP_COLOUR = (1.0, 1.0, 1.0, 0.8)
@@ -38,15 +38,16 @@ def _draw() -> None:
     if context.region is None:
         return
     scale = context.preferences.system.ui_scale
-    if latest is not None and latest.preview is not None and has_preview(context.screen, context.area):
+    if latest is not None and latest.preview is not None and has_preview(context.screen, context.region):
         box = preview_box(context.area, context.region, latest.preview.shape[:2])
         _draw_picture(latest.number, latest.preview, box)
         _draw_grip(box, scale)
-        draw_text(latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
-    span = visible_span(context.area, context.region)
+        draw_plate(latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
+    free = free_box(context.area, context.region)
+    span = free.left, free.right
     _draw_countdown(span, context.region.height, session, scale)
     if session.recording is not None:
-        _draw_recording(span, context.region.height, session.recording.seconds, scale)
+        _draw_recording(span, free.top, session.recording.seconds, scale)
 
 
 def _draw_picture(number: int, picture: np.ndarray, box: Box) -> None:
@@ -82,7 +83,7 @@ def _draw_countdown(span: tuple[float, float], height: float, session: LiveSessi
 
 def _draw_recording(span: tuple[float, float], height: float, seconds: float, scale: float) -> None:
     text = f"REC {int(seconds) // 60:02d}:{seconds % 60:04.1f}"
-    draw_text(text, (sum(span) / 2, height - 70 * scale), 20 * scale, _RED, centred=True)
+    draw_text(text, (sum(span) / 2, height - 40 * scale), 20 * scale, _RED, centred=True)
 
 
 OVERLAYS = {_draw: "POST_PIXEL"}

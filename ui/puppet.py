@@ -27,6 +27,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
         row = side_by_side(layout, context)
         row.prop(settings, "mirror")
         row.prop(settings, "keep_pose")
+        layout.prop(settings, "hide_bones")
         layout.operator("facemime.next_face", icon="COMMUNITY")
         for text, icon in () if session is None else status_lines(session):
             labels(layout, context, text, icon)

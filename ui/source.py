@@ -76,7 +76,7 @@ def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
 def _draw_senders(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the sender of each head, if several are driven."""
     session = running()
-    heads = heads_in(context) if session is None else [shown.obj for shown in session.objects if not shown.gone]
+    heads = heads_in(context) if session is None else [shown.obj for shown in session.heads if not shown.gone]
     if len(heads) < 2:
         return
     layout.label(text="Senders", text_ctxt=CONTEXT)

@@ -103,7 +103,7 @@ def status_lines(session: LiveSession) -> list[tuple[str, str]]:
 
 def _who_drives(session: LiveSession, sender: str, heads: tuple[int, ...]) -> str:
     """Return a sender and the heads that it drives, if there are several."""
-    shown = session.objects
+    shown = session.heads
     names = [shown[head].obj.name for head in heads if head < len(shown) and not shown[head].gone]
     return f"{sender}: {', '.join(names)}" if len(shown) > 1 and names else sender
 

@@ -8,7 +8,7 @@ reference to a curve or track becomes invalid when the user removes it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from typing import Any
 
 import bpy
@@ -47,10 +47,10 @@ def restore(owner: bpy.types.ID) -> None:
     owner.pop(ASIDE_PROPERTY, None)
 
 
-def restore_all() -> None:
-    """Restore what was set aside of all data-blocks, after an undo or when a file was opened."""
+def restore_all(but: Collection[bpy.types.ID] = ()) -> None:
+    """Restore what was set aside of all data-blocks, except some."""
     for owner in _owners():
-        if ASIDE_PROPERTY in owner and owner.library is None:
+        if ASIDE_PROPERTY in owner and owner.library is None and owner not in but:
             restore(owner)
 
 

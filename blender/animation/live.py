@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import bpy
@@ -67,6 +67,22 @@ class LiveHeadObject:
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
         self._carried = carried_targets(self.obj, self.targets["head"]) if "head" in self.targets else []
         self._shown = False
+        objects = [self.obj, *(one for target in self.targets.values() for one in (target.obj, target.head))]
+        self._uids = {id(obj): obj.session_uid for obj in objects if obj is not None}
+
+    def found_again(self) -> LiveHeadObject | None:
+        """Return the same head after an undo, which makes Python's references invalid; None if it is not there."""
+        there = {obj.session_uid: obj for obj in bpy.data.objects}
+        obj = there.get(self._uids[id(self.obj)])
+        if obj is None or obj.type != "MESH":
+            return None
+        targets = {}
+        for name, target in self.targets.items():
+            place = there.get(self._uids[id(target.obj)])
+            head = None if target.head is None else there.get(self._uids[id(target.head)])
+            if place is not None:
+                targets[name] = replace(target, obj=place, head=head)
+        return LiveHeadObject(obj, targets, self.follow, self.keys)
 
     @property
     def vertices(self) -> int:
@@ -82,6 +98,20 @@ class LiveHeadObject:
     def gone(self) -> bool:
         """Whether the head was deleted."""
         return not exists(self.obj)
+
+    @property
+    def left_in_file(self) -> bool:
+        """Whether the open file has the head as a session displays it, as after undoing a step of the session."""
+        return any(shown.left_in_file for shown in self._meshes)
+
+    @property
+    def blocks(self) -> set[bpy.types.ID]:
+        """The data-blocks that the session changes."""
+        meshes = [mesh for shown in self._meshes if exists(mesh := shown.mesh)]
+        keys = [mesh.shape_keys for mesh in meshes if mesh.shape_keys is not None]
+        objects = [shown.obj for shown in self._living_meshes()]
+        targets = [target.obj for target in self._living_targets()]
+        return {*self._owners(), *targets, *objects, *meshes, *keys}
 
     def attach(self) -> None:
         """Add the live shape keys, and mute an earlier bake of the head; does nothing if the head was deleted.

@@ -7,7 +7,7 @@ crash, an undo, a file saved while it runs).
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import bpy
 import numpy as np
@@ -19,6 +19,7 @@ from ..characters import Member
 from ..frames import flat_in_blender
 from ..meshes import exists, mesh_of, read_vertices, write_vertices
 from ..names import LIVE_PROPERTY, VALUES_PROPERTY
+from ..own_pose import release_live
 from .aside import display_of, keys, restore, restore_all, set_aside
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
 from .live_values import LiveValues, clear_values
@@ -51,7 +52,7 @@ class LiveMesh:
             )
         require_relative(self.obj)
         self._name = self.obj.name
-        self._mesh = mesh
+        self.mesh = mesh
         self._count = len(mesh.vertices)
         self._rest: NDArray[np.float32] | None = None
         self._values: LiveValues | None = None
@@ -80,7 +81,7 @@ class LiveMesh:
         self._values = values
         if values is None:
             self._add_live_key()
-        if (own := self._mesh.shape_keys) is not None:
+        if (own := self.mesh.shape_keys) is not None:
             baked = baked_paths(own) if values is None else set()
             names = [key.name for key in own.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]
             names += [key.name for key in own.key_blocks if value_path(key.name) in baked]
@@ -91,13 +92,13 @@ class LiveMesh:
         self._shown = True
 
     def _add_live_key(self) -> None:
-        if not self._mesh.is_editmode:
-            self._rest = read_vertices(self._mesh)
-        if self._mesh.shape_keys is None:
+        if not self.mesh.is_editmode:
+            self._rest = read_vertices(self.mesh)
+        if self.mesh.shape_keys is None:
             self.obj.shape_key_add(name="Basis", from_mix=False)
-            self._mesh[LIVE_PROPERTY] = _MADE_KEYS
-        elif LIVE_PROPERTY not in self._mesh:
-            self._mesh[LIVE_PROPERTY] = _HAD_KEYS
+            self.mesh[LIVE_PROPERTY] = _MADE_KEYS
+        elif LIVE_PROPERTY not in self.mesh:
+            self.mesh[LIVE_PROPERTY] = _HAD_KEYS
         self._key().value = 1.0  # Edit Mode restores a key that was removed, with value 0
 
     def write(self, flat: NDArray[np.float32], amounts: NDArray[np.float64]) -> None:
@@ -122,7 +123,7 @@ class LiveMesh:
             self._values.write(amounts)
             return
         self._key().points.foreach_set("co", flat)
-        self._mesh.update_tag()
+        self.mesh.update_tag()
 
     def detach(self, *, keep: bool, blocks: bool) -> bool:
         """Stop displaying; parameters and result are as for `LiveHeadObject.detach`."""
@@ -133,27 +134,33 @@ class LiveMesh:
             self._values.detach(keep=keep)
         if not self.gone:
             restore(self.obj)
-        if exists(self._mesh) and self._mesh.shape_keys is not None:
-            restore(self._mesh.shape_keys)
+        if exists(self.mesh) and self.mesh.shape_keys is not None:
+            restore(self.mesh.shape_keys)
         if keep:
-            if exists(self._mesh):
-                self._mesh.pop(LIVE_PROPERTY, None)
+            if exists(self.mesh):
+                self.mesh.pop(LIVE_PROPERTY, None)
             return False
-        if not exists(self._mesh) or self._values is not None:
+        if not exists(self.mesh) or self._values is not None:
             return False
         # A mesh without users is not saved, and a single undo step restores a deleted head.
-        deleted = self.gone and not self._mesh.users
-        return clear_live(self._mesh, self.obj, self._rest, blocks=blocks and not deleted)
+        deleted = self.gone and not self.mesh.users
+        return clear_live(self.mesh, self.obj, self._rest, blocks=blocks and not deleted)
+
+    @property
+    def left_in_file(self) -> bool:
+        """Whether the open file has the mesh as a session displays it, as after undoing a step of the session."""
+        own = None if self.gone else self.obj.data.shape_keys
+        return not self.gone and (LIVE_PROPERTY in self.obj.data or (own is not None and VALUES_PROPERTY in own))
 
     def require_same(self) -> None:
         """Raise HeadError if the mesh was replaced, or changed so that it can no longer be driven."""
-        keys_deleted = self._shown and (self._mesh.shape_keys is None or _basis_lost(self._mesh))
-        if self.obj.data != self._mesh or len(self._mesh.vertices) != self._count or keys_deleted:
+        keys_deleted = self._shown and (self.mesh.shape_keys is None or _basis_lost(self.mesh))
+        if self.obj.data != self.mesh or len(self.mesh.vertices) != self._count or keys_deleted:
             raise changed(self._name)
 
     def _key(self) -> bpy.types.ShapeKey:
         """Return the live shape key, which is added again if the user deleted it."""
-        key = self._mesh.shape_keys.key_blocks.get(LIVE_KEY)
+        key = self.mesh.shape_keys.key_blocks.get(LIVE_KEY)
         if key is None:
             key = self.obj.shape_key_add(name=LIVE_KEY, from_mix=False)
             key.value = 1.0
@@ -197,28 +204,33 @@ def clear_live(
         write_vertices(mesh, rest)
     if blocks or not made:
         mesh.pop(LIVE_PROPERTY, None)
+    mesh.update_tag()
     return keys is not None and mesh.shape_keys is None
 
 
-def clear_all_live(*, blocks: bool) -> bool:
-    """Remove from all meshes what a session that has ended displayed, after a file was loaded or a step undone.
+def clear_all_live(*, blocks: bool, but: Collection[bpy.types.ID] = ()) -> bool:
+    """Put everything at rest that a session has left as it displayed it: after a file was loaded, a step undone, or an
+    object duplicated.
 
     Parameters
     ----------
     blocks : bool
         As for `LiveHeadObject.detach`.
+    but : collection of bpy.types.ID
+        The objects, meshes and shape keys of the running session.
 
     Returns
     -------
     bool
         Whether a data-block was removed, as for `clear_live`.
     """
-    restore_all()
+    restore_all(but)
+    release_live(but)
     for own in bpy.data.shape_keys:
-        if VALUES_PROPERTY in own and own.library is None:
+        if VALUES_PROPERTY in own and own.library is None and own not in but:
             clear_values(own)
-    meshes = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None]
-    removed = [clear_live(mesh, blocks=blocks) for mesh in meshes]
+    meshes = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None and mesh.users]
+    removed = [clear_live(mesh, blocks=blocks) for mesh in meshes if mesh not in but]
     return any(removed)
 
 

@@ -35,6 +35,7 @@ from ..frames import rotation_to_blender, to_blender
 from ..meshes import exists, read_places, read_vertices
 from ..names import PIVOT_PROPERTY
 from ..own_pose import (
+    begin_live,
     hold_own,
     keep_pose,
     own_mode,
@@ -136,8 +137,7 @@ class PoseTarget:
     def begin(self) -> None:
         """Prepare for being posed: what an earlier session left ends, and the user's own pose is remembered."""
         if not self.still:
-            release_own(self.owner)
-            hold_own(self.owner)
+            begin_live(self.owner)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
         """Set the pose.

@@ -149,19 +149,55 @@ def test_undoing_into_a_past_session_shows_the_head_at_rest(looping):
     assert again.data.shape_keys is None
 
 
-def test_undo_during_a_session_ends_it_and_goes_back_a_single_step(looping):
+def test_undo_during_a_session_undoes_the_users_step_and_the_puppet_goes_on(looping):
+    head = add_head(bpy.context)
+    bpy.ops.mesh.primitive_cube_add()
+    head.select_set(True)
+    bpy.context.view_layer.objects.active = head
+    bpy.ops.ed.undo_push(message="head")
+    start()
+    for place in (1.0, 2.0):
+        bpy.data.objects["Cube"].location.x = place
+        bpy.ops.ed.undo_push(message="Move")
+        some_frames()
+    for place in (1.0, 0.0):
+        assert bpy.ops.ed.undo() == {"FINISHED"}
+        assert bpy.data.objects["Cube"].location.x == place and running() is not None
+        some_frames()
+        assert LIVE_KEY in bpy.data.objects["Facemime Head"].data.shape_keys.key_blocks
+    assert bpy.ops.ed.redo() == {"FINISHED"} and bpy.data.objects["Cube"].location.x == 1.0
+    some_frames()
+    assert running() is not None
+
+
+def test_undoing_the_start_of_the_puppet_stops_it_and_says_so(looping, capfd):
     head = add_head(bpy.context)
     rest = shown(head)
     bpy.ops.ed.undo_push(message="head")
     start()
-    steps_from_here("DESELECT")
-    some_frames()
+    session = running()
     assert bpy.ops.ed.undo() == {"FINISHED"} and running() is None
+    assert "undone" in session.warning
     np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
-    assert bpy.ops.ed.undo() == {"FINISHED"}
     assert bpy.data.objects["Facemime Head"].data.shape_keys is None
-    assert bpy.ops.ed.redo() == {"FINISHED"} and bpy.ops.ed.redo() == {"FINISHED"}
+    assert bpy.ops.ed.redo() == {"FINISHED"}
     np.testing.assert_array_equal(shown(bpy.data.objects["Facemime Head"]), rest)
+
+
+def test_undoing_a_deletion_during_a_session_gives_the_head_back_at_rest(looping):
+    head = add_head(bpy.context)
+    matrix = np.array(head.matrix_world)
+    bpy.ops.ed.undo_push(message="head")
+    start()
+    steps_from_here("DESELECT", "SELECT")
+    bpy.data.objects.remove(head)
+    bpy.ops.ed.undo_push(message="Delete")
+    outcome_of_ticks()
+    assert running() is None
+    assert bpy.ops.ed.undo() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    again = bpy.data.objects["Facemime Head"]
+    np.testing.assert_allclose(np.array(again.matrix_world), matrix, atol=1e-6)
 
 
 def test_opening_a_file_saved_in_a_crash_removes_the_live_key(looping, tmp_path):

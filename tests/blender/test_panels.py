@@ -12,7 +12,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
-from facemime.blender.viewports import visible_span
+from facemime.blender.viewports import free_box
 from facemime.core.control_points.select import select_for_take
 from facemime.core.heads.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES
@@ -144,13 +144,25 @@ def test_lines_of_any_language_fit_the_sidebar(text, lines):
     assert max(blf.dimensions(0, line)[0] for line in wrap(text, 1.0)) < width
 
 
-def test_drawings_in_a_viewport_keep_clear_of_toolbar_and_sidebar():
-    sides = {"TOOLS": ("LEFT", 60), "UI": ("RIGHT", 280), "HEADER": ("TOP", 1000), "WINDOW": ("NONE", 1000)}
-    regions = [SimpleNamespace(type=kind, alignment=side, width=width) for kind, (side, width) in sides.items()]
-    area = SimpleNamespace(regions=regions)
-    assert visible_span(area, regions[-1]) == (60.0, 720.0)
-    regions[1].width = 1
-    assert visible_span(area, regions[-1]) == (60.0, 1000.0)
+def region(kind: str, x: int, y: int, width: int, height: int, alignment: str = "NONE") -> SimpleNamespace:
+    return SimpleNamespace(type=kind, x=x, y=y, width=width, height=height, alignment=alignment)
+
+
+def test_drawings_in_a_viewport_keep_clear_of_what_covers_it():
+    view = region("WINDOW", 100, 50, 1000, 800)
+    tools, side = region("TOOLS", 100, 50, 60, 750), region("UI", 820, 50, 280, 750)
+    header, redo = region("HEADER", 100, 824, 1000, 26, "TOP"), region("HUD", 160, 60, 200, 90)
+    shelf = region("ASSET_SHELF", 100, 50, 1000, 120, "BOTTOM")
+    assert free_box(SimpleNamespace(regions=[tools, side, header, view]), view) == (60.0, 0.0, 720.0, 774.0)
+    side.width = 1
+    assert free_box(SimpleNamespace(regions=[tools, side, redo, view]), view) == (60.0, 100.0, 1000.0, 800.0)
+    assert free_box(SimpleNamespace(regions=[shelf, view]), view) == (0.0, 120.0, 1000.0, 800.0)
+
+
+def test_what_covers_one_view_of_a_quad_view_does_not_narrow_the_others():
+    left, right = region("WINDOW", 0, 0, 500, 400), region("WINDOW", 500, 0, 500, 400)
+    area = SimpleNamespace(regions=[region("TOOLS", 0, 0, 60, 400), left, right])
+    assert free_box(area, left).left == 60.0 and free_box(area, right) == (0.0, 0.0, 500.0, 400.0)
 
 
 def test_each_row_of_the_list_shows_number_region_order_and_error():

@@ -77,10 +77,25 @@ def test_a_recording_whose_disk_is_full_is_listed_while_the_puppet_continues(ses
     assert [line.name for line in takes.items] == ["Full"] and running() is session
 
 
-def test_undoing_while_recording_lists_the_take(session, takes):
+def test_undoing_during_a_recording_keeps_it_and_the_take_before(session, takes):
+    for name in ("First", "Second"):
+        assert bpy.ops.facemime.record_take(name=name) == {"FINISHED"}
+        wait_for(lambda: session.recording.frames > 3)
+        if name == "First":
+            assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    assert bpy.ops.ed.undo() == {"FINISHED"}
+    assert running() is session and session.recording is not None
+    assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["First"]
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["First", "Second"]
+
+
+def test_undoing_the_start_of_the_puppet_while_recording_lists_the_take(session, takes):
+    session.close()
     bpy.ops.ed.undo_push(message="before")
+    again = start_session(bpy.context.scene, [bpy.data.objects["Facemime Head"]])
     assert bpy.ops.facemime.record_take(name="Undone") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 3)
+    wait_for(lambda: again.recording.frames > 3)
     assert bpy.ops.ed.undo() == {"FINISHED"} and running() is None
     attend()
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["Undone"] and Session.current is None

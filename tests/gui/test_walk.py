@@ -87,7 +87,8 @@ with bpy.context.temp_override(area=area, region=region):
 _WITH_PREVIEW = f"""
 from {MODULE}.operators.preview_place import has_preview
 screen = bpy.context.window.screen
-value = [has_preview(screen, area) for area in screen.areas if area.type == "VIEW_3D"]
+views = [area for area in screen.areas if area.type == "VIEW_3D"]
+value = [has_preview(screen, region) for area in views for region in area.regions if region.type == "WINDOW"]
 """
 
 
