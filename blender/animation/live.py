@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError
-from ..actions import Muted, mute_bake, mute_curves
 from ..characters import Member, members_of
 from ..meshes import exists
+from ..muting import Muted, mute_bake, mute_curves
 from ..names import PART_PROPERTY
 from ..shared_actions import make_actions_own
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
@@ -100,7 +100,9 @@ class LiveHeadObject:
             target.begin()
         posed = [target.obj for target in (*self._carried, *self.targets.values()) if target.exists]
         for owner in dict.fromkeys([self.obj, *(child for child, _ in self._living_parts()), *posed]):
-            self._muted += mute_curves(owner, "delta_") + mute_bake(owner)
+            self._muted += mute_curves(owner, ["delta_"]) + mute_bake(owner)
+        for target in self._living_targets():
+            self._muted += mute_curves(target.obj, target.channels)
         for tongue in filter(has_tongue, (child for child, _ in self._living_parts())):
             self._muted += mute_bake(tongue.data.shape_keys)
         self._shown = True

@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
-from ..actions import Muted, baked_paths
+from ..actions import baked_paths
 from ..characters import Member
 from ..frames import flat_in_blender
 from ..meshes import exists, mesh_of, read_vertices, write_vertices
+from ..muting import Muted
 from ..names import LIVE_PROPERTY
 from .bake_cache import MODIFIER
 from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
