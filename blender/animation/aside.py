@@ -8,13 +8,15 @@ reference to a curve or track becomes invalid when the user removes it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import Any
 
 import bpy
 
-from ..actions import baked_paths, curves_of, find_curve, slot_of, tracks_of
+from ..actions import baked_paths
+from ..fcurves import curves_in, find_curve, slot_handle
 from ..names import ASIDE_PROPERTY
+from ..tracks import tracks_of_bakes
 from .bake_cache import MODIFIER
 
 Item = list[Any]
@@ -54,25 +56,34 @@ def restore_all(but: Collection[bpy.types.ID] = ()) -> None:
             restore(owner)
 
 
-def curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
-    """Return the curves of the active action of `owner` in the data paths that `wanted` accepts."""
-    if not (found := [curve for curve in curves_of(owner) if wanted(curve.data_path)]):
+def moving(owner: bpy.types.ID, prefixes: Sequence[str]) -> list[Item]:
+    """Return what moves the data paths of `owner` that start with a prefix: curves of its action, NLA tracks, drivers."""
+    data, starts = owner.animation_data, tuple(prefixes)
+    if data is None:
         return []
-    action, slot = owner.animation_data.action, slot_of(owner)
-    return [["curve", action.name, slot, curve.data_path, curve.array_index] for curve in found]
-
-
-def drivers(owner: bpy.types.ID, wanted: Callable[[bpy.types.FCurve], bool]) -> list[Item]:
-    """Return the drivers of `owner` that `wanted` accepts."""
-    data = owner.animation_data
-    found = [] if data is None else [driver for driver in data.drivers if wanted(driver)]
-    return [["driver", driver.data_path, driver.array_index] for driver in found]
+    driven = [driver for driver in data.drivers if driver.data_path.startswith(starts)]
+    tracks = [
+        track
+        for track in data.nla_tracks
+        if any(curve.data_path.startswith(starts) for strip in track.strips for curve in curves_in(strip))
+    ]
+    return [
+        *_curves(owner, lambda path: path.startswith(starts)),
+        *(["driver", driver.data_path, driver.array_index] for driver in driven),
+        *(["track", track.name] for track in tracks),
+    ]
 
 
 def bake_of(owner: bpy.types.ID) -> list[Item]:
     """Return the curves and tracks that a bake wrote for `owner`."""
     baked = baked_paths(owner)
-    return [*curves(owner, baked.__contains__), *(["track", track.name] for track in tracks_of(owner))]
+    return [*_curves(owner, baked.__contains__), *(["track", track.name] for track in tracks_of_bakes(owner))]
+
+
+def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
+    data = owner.animation_data
+    found = [curve for curve in curves_in(data) if wanted(curve.data_path)]
+    return [["curve", data.action.name, slot_handle(data), curve.data_path, curve.array_index] for curve in found]
 
 
 def keys(names: Iterable[str]) -> list[Item]:

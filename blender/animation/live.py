@@ -16,8 +16,9 @@ from ..characters import Member, members_of
 from ..meshes import exists
 from ..names import PART_PROPERTY
 from ..shared_actions import make_actions_own
-from .aside import bake_of, curves, restore, set_aside
+from .aside import bake_of, moving, restore, set_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
+from .key_drivers import following_paths
 from .live_mesh import LiveMesh, changed
 from .live_values import LiveValues
 from .targets import PoseTarget, carried_targets
@@ -126,17 +127,23 @@ class LiveHeadObject:
         for shown in self._living_meshes():
             shown.require_same()
         make_actions_own(self._animated_owners())
-        family = [own for shown in self._living_meshes() if (own := shown.obj.data.shape_keys) is not None]
         for shown in self._living_meshes():
-            shown.attach(self._values_of(shown.obj.data, family) if self.keys else None)
+            shown.attach(self._values_of(shown.obj) if self.keys else None)
         for target in self._living_targets():
             target.begin()
         for owner in self._owners():
-            set_aside(owner, [*curves(owner, lambda path: path.startswith("delta_")), *bake_of(owner)])
+            channels = (
+                "delta_",
+                *(path for target in self._living_targets() if target.obj == owner for path in target.channels),
+            )
+            set_aside(owner, [*moving(owner, channels), *bake_of(owner)])
         self._shown = True
 
-    def _values_of(self, mesh: bpy.types.Mesh, family: list[bpy.types.Key]) -> LiveValues | None:
-        return None if mesh.shape_keys is None else LiveValues(mesh, self.keys, family)
+    def _values_of(self, obj: bpy.types.Object) -> LiveValues | None:
+        if obj.data.shape_keys is None:
+            return None
+        members = [shown.member for shown in self._living_meshes()]
+        return LiveValues(obj.data, self.keys, following_paths(members, obj))
 
     def _owners(self) -> list[bpy.types.ID]:
         """Return the data-blocks whose animation is set aside: of the pose, and of the tongue."""

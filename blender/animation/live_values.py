@@ -7,14 +7,14 @@ sliders follow. The values before are kept in a custom property of the data-bloc
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import bpy
 import numpy as np
 
 from ..meshes import exists
 from ..names import VALUES_PROPERTY
-from .aside import curves, drivers, restore, set_aside
+from .aside import moving, restore, set_aside
 from .bake_keys import value_path
 
 
@@ -27,13 +27,12 @@ class LiveValues:
         A mesh with shape keys.
     names : sequence of str
         The driven keys of the head; those that the mesh does not have are left out.
-    family : collection of bpy.types.Key
-        The shape keys of all meshes of the head. A driver that reads one of them follows it and is left alone.
+    following : set of str
+        Data paths of values with drivers that follow keys of the head, which are left alone.
     """
 
-    def __init__(self, mesh: bpy.types.Mesh, names: Sequence[str], family: Iterable[bpy.types.Key]) -> None:
+    def __init__(self, mesh: bpy.types.Mesh, names: Sequence[str], following: set[str]) -> None:
         self._keys = mesh.shape_keys
-        following = _followers(self._keys, set(family))
         blocks = self._keys.key_blocks
         self._places = {
             blocks.find(name): number
@@ -47,9 +46,7 @@ class LiveValues:
         blocks = self._keys.key_blocks
         if VALUES_PROPERTY not in self._keys:
             self._keys[VALUES_PROPERTY] = json.dumps({name: blocks[name].value for name in self._names})
-        paths = {value_path(name) for name in self._names}
-        animated = curves(self._keys, paths.__contains__)
-        set_aside(self._keys, [*animated, *drivers(self._keys, lambda driver: driver.data_path in paths)])
+        set_aside(self._keys, moving(self._keys, [value_path(name) for name in self._names]))
 
     def write(self, values: np.ndarray) -> None:
         """Set the values, (K,) in the order of the names."""
@@ -88,14 +85,3 @@ def _kept(keys: bpy.types.Key) -> Mapping[str, float]:
     except ValueError:
         return {}
     return {name: value for name, value in values.items() if isinstance(value, (int, float))}
-
-
-def _followers(keys: bpy.types.Key, family: set[bpy.types.Key]) -> set[str]:
-    """Return the data paths of values that a driver computes from a shape key of `family`."""
-    data = keys.animation_data
-    return set() if data is None else {driver.data_path for driver in data.drivers if _reads(driver, family)}
-
-
-def _reads(driver: bpy.types.FCurve, family: set[bpy.types.Key]) -> bool:
-    targets = [target for variable in driver.driver.variables for target in variable.targets]
-    return any(target.id in family and target.data_path.startswith("key_blocks[") for target in targets)
