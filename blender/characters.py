@@ -93,7 +93,8 @@ def members_of(head: bpy.types.Object) -> list[Member]:
 
 def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the other meshes of the face of `head`, by name; of a built-in head, its lashes."""
-    found = [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.get(HEAD_PROPERTY) == head and obj != head]
+    meshes = [obj for obj in bpy.data.objects if obj.type == "MESH" and HEAD_PROPERTY in obj and obj != head]
+    found = [obj for obj in meshes if pointed_to(obj, obj[HEAD_PROPERTY]) == head]
     lashes = parts_of(head).get("lashes")
     if lashes is not None and lashes.type == "MESH" and lashes.parent == head:
         found.append(lashes)
@@ -104,7 +105,38 @@ def parts_of(head: bpy.types.Object) -> dict[str, bpy.types.Object]:
     """Return the parts attached to a head by key, without those that were deleted."""
     stored = head.get(PARTS_PROPERTY)
     parts = stored.to_dict() if hasattr(stored, "to_dict") else {}
-    return {key: part for key, part in parts.items() if isinstance(part, bpy.types.Object)}
+    own = {key: pointed_to(head, part) for key, part in parts.items()}
+    return {
+        key: part for key, part in own.items() if isinstance(part, bpy.types.Object) and not _is_foreign(head, part)
+    }
+
+
+def pointed_to(owner: bpy.types.Object, obj: bpy.types.Object | None) -> bpy.types.Object | None:
+    """Return the object that a custom property of `owner` means by `obj`.
+
+    Custom properties of a library override point to objects of the library again when the file is opened. They mean the
+    overrides of these that belong to the same character, if there are any.
+
+    Parameters
+    ----------
+    owner : bpy.types.Object
+    obj : bpy.types.Object or None
+    """
+    if not isinstance(obj, bpy.types.Object) or not _is_foreign(owner, obj):
+        return obj
+    overrides = [other for other in bpy.data.objects if other.override_library is not None]
+    root = owner.override_library.hierarchy_root
+    found = [
+        other
+        for other in overrides
+        if other.override_library.reference == obj and other.override_library.hierarchy_root == root
+    ]
+    return min(found, key=lambda other: other.parent != owner, default=obj)
+
+
+def _is_foreign(owner: bpy.types.Object, obj: bpy.types.Object) -> bool:
+    """Return whether `owner` is a library override, and `obj` is not one but in the library."""
+    return owner.override_library is not None and obj.library is not None
 
 
 def part_table(head: bpy.types.Object) -> list[tuple[bpy.types.Object, Part, int]]:
@@ -133,7 +165,7 @@ def set_part(obj: bpy.types.Object, part: Part, of: NDArray[np.bool_]) -> None:
 
 def head_of(obj: bpy.types.Object) -> bpy.types.Object:
     """Return the head to which `obj` belongs as a part; `obj` itself if it is none."""
-    owner = obj.get(HEAD_PROPERTY)
+    owner = pointed_to(obj, obj.get(HEAD_PROPERTY))
     if obj.get(PART_PROPERTY) is not None and obj.parent is not None:
         owner = obj.parent
     return owner if isinstance(owner, bpy.types.Object) and can_be_driven(owner) else obj
@@ -233,7 +265,7 @@ def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer]) -> None:
 
 def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBones]:
     """Return the armature that follows the pose of `head`, and its bones; those that no longer exist are ""."""
-    armature, stored = head.get(ARMATURE_PROPERTY), head.get(BONES_PROPERTY)
+    armature, stored = pointed_to(head, head.get(ARMATURE_PROPERTY)), head.get(BONES_PROPERTY)
     if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not hasattr(stored, "to_dict"):
         return None, FaceBones()
     names = {key: str(name) for key, name in stored.to_dict().items() if str(name) in armature.pose.bones}

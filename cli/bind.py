@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import FacemimeError
-from ..core.puppet.job import HeadFile
+from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ..core.takes.file import load_take
 from .terminal.blender import importing_blender
 from .terminal.console import say, tell
@@ -22,7 +22,7 @@ def add_commands(commands: Commands) -> None:
         "character",
         type=head_file,
         metavar="FILE[:OBJECT]",
-        help="a .blend, .glb, .gltf, .fbx, .obj, .abc or .usd file, and any mesh of the character "
+        help=f"a {', '.join(CHARACTER_SUFFIXES[:-1])} or {CHARACTER_SUFFIXES[-1]} file, and any mesh of the character "
         "(the most likely face)",
     )
     add_output(bind, "OUT.blend", "the file with the head, for puppet --head")

@@ -149,11 +149,12 @@ def add_commands(commands: Commands) -> None:
         type=head_file,
         metavar="TABLE.csv|ANIMATION[:OBJECT]",
         help="a table from export, possibly with fewer columns, or one of ARKit's coefficients from Live Link Face or "
-        "another program; or a .blend, .abc, .usd, .glb, .gltf or .fbx file in which a face moves, and any mesh of the "
-        "character (the most likely face)",
+        "another program; or a file, as for bind, in which a face moves, and any mesh of the character "
+        "(the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
-    read.set_defaults(run=lambda given: run_import(given["source"], given["output"]))
+    read.add_argument("--clip", default="", metavar="NAME", help="the clip of an animation to sample (what plays)")
+    read.set_defaults(run=lambda given: run_import(given["source"], given["output"], given["clip"]))
 
 
 def run_mend(job: MendJob) -> int:
@@ -227,7 +228,7 @@ def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bo
     write_coefficient_csv(output, seen.times, values, turns, live_link=live_link, rate=rate)
 
 
-def run_import(source: HeadFile, output: Path) -> int:
+def run_import(source: HeadFile, output: Path, clip: str = "") -> int:
     """Run `facemime import`: write a table, or the motion of a face in an animation, as a take.
 
     Parameters
@@ -236,19 +237,23 @@ def run_import(source: HeadFile, output: Path) -> int:
         A table, or an animation and its object.
     output : Path
         File for the take.
+    clip : str
+        Name of the clip of an animation; by default what plays in the file.
     """
     is_table = source.path.suffix.lower() == ".csv"
+    if is_table and clip:
+        raise FacemimeError("A table has no clips. Leave out --clip.")
     described = "the table that is imported" if is_table else "the animation that is imported"
     with outputs_of(((output, {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        save_take(from_any_csv(source.path) if is_table else _sampled(source), output)
+        save_take(from_any_csv(source.path) if is_table else _sampled(source, clip), output)
     return 0
 
 
-def _sampled(animation: HeadFile) -> Take:
+def _sampled(animation: HeadFile, clip: str) -> Take:
     with importing_blender("An animation", "import ..."):
         from .puppet.character import sample
-    return sample(animation)
+    return sample(animation, clip)
 
 
 def parse_span(text: str) -> Span:

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..blender.characters import objects_of, part_table, read_bones
+from ..blender.characters import objects_of, part_table, pointed_to, read_bones
 from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import CONTEXT
 from ..blender.names import HEAD_PROPERTY, PART_OBJECTS, PART_PROPERTY
@@ -36,7 +36,7 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
         if context.mode == "EDIT_MESH":
             layout.operator_menu_enum("facemime.set_part", "part", text="Set Part of Selected Vertices")
             return
-        head = obj if can_be_driven(obj) else obj[HEAD_PROPERTY]
+        head = obj if can_be_driven(obj) else pointed_to(obj, obj[HEAD_PROPERTY])
         if head is None:
             return
         if not is_head(head):

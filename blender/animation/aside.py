@@ -57,7 +57,7 @@ def restore_all(but: Collection[bpy.types.ID] = ()) -> None:
 
 
 def moving(owner: bpy.types.ID, prefixes: Sequence[str]) -> list[Item]:
-    """Return what moves the data paths of `owner` that start with a prefix: curves of its action, NLA tracks, drivers."""
+    """Return the curves, NLA tracks and drivers that move data paths of `owner` that start with a prefix."""
     data, starts = owner.animation_data, tuple(prefixes)
     if data is None:
         return []

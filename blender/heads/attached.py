@@ -64,7 +64,7 @@ def attach_all() -> None:
     found: dict[bpy.types.Object, dict[str, bpy.types.Object]] = {}
     for obj in bpy.data.objects:
         head = obj.parent if PART_PROPERTY in obj else None
-        if head is not None and head.is_editable and obj.is_editable and PARTS_PROPERTY not in head:
+        if head is not None and _is_local(head) and _is_local(obj) and PARTS_PROPERTY not in head:
             found.setdefault(head, {})[str(obj[PART_PROPERTY])] = obj
     for head, parts in found.items():
         attach(head, parts)
@@ -141,6 +141,11 @@ def hidden_heads(layer: bpy.types.ViewLayer) -> dict[int, bool]:
     return {head.session_uid: head.hide_viewport or head.hide_get(view_layer=layer) for head in heads_with_parts()}
 
 
+def _is_local(obj: bpy.types.Object) -> bool:
+    """Return whether an object is the file's own: neither linked nor a library override."""
+    return obj.library is None and obj.override_library is None
+
+
 def _follow(part: bpy.types.Object, head: bpy.types.Object) -> None:
     """Hide a part in renders while its head is hidden there, by a driver that runs no script."""
     part.driver_remove(_HIDDEN)
@@ -183,5 +188,7 @@ def _copy(part: bpy.types.Object, head: bpy.types.Object) -> bpy.types.Object:
 def _put_beside(part: bpy.types.Object, head: bpy.types.Object) -> None:
     """Put a part into the collections of a head."""
     for collection in head.users_collection:
-        if collection.is_editable and part.name not in collection.objects:
+        # Blender does not let objects be added to an override of a collection.
+        free = collection.is_editable and collection.override_library is None
+        if free and part.name not in collection.objects:
             collection.objects.link(part)

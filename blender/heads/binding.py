@@ -46,6 +46,7 @@ from ..names import (
 from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, require_character
 from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
+from .soundness import generating_modifiers, require_sound, stray_vertices
 
 _MAX_CANDIDATES = 3
 """Meshes of a character in which a face is sought."""
@@ -123,14 +124,23 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
         If no face is found, or the mesh would have to be rotated and `turn_mesh` cannot do this.
     """
     mesh = mesh_of(obj)
+    require_sound(obj)
     scene_axes = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
     others = read_kinds(mesh) != Part.SKIN if is_sorted(obj) else named_others(obj)
     others[eye_vertices(obj)] = True
+    others |= stray_vertices(obj)
     skin = skin_of_object(obj, others)
     marks = read_marks(mesh)
     aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
-    binding, along = yield from _bound(read_vertices(mesh), skin, marks, axes)
+    try:
+        binding, along = yield from _bound(read_vertices(mesh), skin, marks, axes)
+    except HeadError as error:
+        if names := ", ".join(generating_modifiers(obj)):
+            raise HeadError(
+                f"No face was found on {obj.name} without its modifiers: {names}. Apply them, and find the face again."
+            ) from error
+        raise
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
     turn = None if _is_small(upright) else HEAD_TO_BLENDER @ upright @ HEAD_TO_BLENDER.T
     if turn is not None:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
 import numpy as np
 
+from ...blender.animation.clips import clips_of, owners_of, play
 from ...blender.animation.sampling import Sampling
 from ...blender.characters import part_table, read_bones
 from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import check_object
 from ...blender.heads.expression_keys import MadeKeys, make_expression_keys
+from ...blender.heads.family import armature_of, character_of
 from ...blender.heads.landmark_pictures import draw_landmarks
 from ...core.binding.bind import Binding
 from ...core.drive.key_sets import KeySet
@@ -23,7 +25,7 @@ from ...core.puppet.job import HeadFile
 from ...core.takes.take import Take
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
-from .files import CUTS, bound_character, likely_mesh, object_named, open_file, open_head
+from .files import CUTS, bound_character, likely_mesh, object_named, open_file, open_head, set_frames
 from .headless import AVATAR_SIDE, save_blend
 
 
@@ -139,15 +141,23 @@ def write_picture(bound: BoundCharacter, path: Path) -> None:
     write_image(path, draw_landmarks(bpy.context.scene, bound.head, 2 * AVATAR_SIDE))
 
 
-def sample(character: HeadFile) -> Take:
+def sample(character: HeadFile, clip: str = "") -> Take:
     """Open or import an animated character, bind it unless it is bound, and sample its motion as a take.
+
+    Parameters
+    ----------
+    character : HeadFile
+        File and object of the character.
+    clip : str
+        Name of the clip that is sampled; by default what plays in the file.
 
     Raises
     ------
     FacemimeError
-        If the file cannot be read, no face is found, or the face does not move.
+        If the file cannot be read, no face is found, the face does not move, or there is no such clip.
     """
     head = open_head(character)
+    _choose_clip(character.path, head, clip)
     scene = scene_of(head)
     sampling = Sampling(scene, head, character.path.name)
     progress = Progress(f"Sampling {head.name}", len(sampling.frames))
@@ -157,3 +167,20 @@ def sample(character: HeadFile) -> Take:
             progress.update(done)
     progress.finish()
     return sampling.take()
+
+
+def _choose_clip(path: Path, head: bpy.types.Object, name: str) -> None:
+    """Play the clip `name` of a character, or say which other clips there are."""
+    armature = armature_of(head)
+    owners = owners_of(sorted(character_of(head) | ({armature} - {None}), key=lambda obj: obj.name))
+    clips = clips_of(owners)
+    if name:
+        play(clips, name, owners)
+        clips = {name: replace(clips[name], plays=True)}
+        set_frames(clips)
+    others = [other for other, clip in clips.items() if not clip.plays]
+    if others:
+        playing = " and ".join(other for other, clip in clips.items() if clip.plays) or "None"
+        tell(
+            f"{path.name} has further clips: {', '.join(others)}. {playing} is sampled. To choose another: --clip NAME"
+        )

@@ -7,34 +7,38 @@ from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import bpy
-import numpy as np
 
+from ...blender.animation.clips import Clip, clips_of, owners_of
 from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
 from ...blender.heads.family import family_of, heads_of, likely_character
 from ...blender.heads.keyed import bind_keys, known_set
 from ...blender.heads.lips import open_lips
-from ...blender.media.rendering import quiet
+from ...blender.heads.vrm import add_expressions
+from ...blender.media.rendering import quiet, set_rate
 from ...blender.meshes import can_be_driven
 from ...core.binding.bind import Binding
 from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import HeadError, SourceError
-from ...core.puppet.job import HeadFile
+from ...core.puppet.job import CHARACTER_SUFFIXES, HeadFile
+from ...core.takes.file_rate import gltf_of
 from ..terminal.console import tell
 from ..terminal.stopping import STOPPING
+from .usd import animation_rate
 
 _IMPORTERS: Mapping[str, Callable[..., object]] = {
-    ".glb": lambda path: bpy.ops.import_scene.gltf(filepath=path),
-    ".gltf": lambda path: bpy.ops.import_scene.gltf(filepath=path),
+    **dict.fromkeys((".glb", ".gltf", ".vrm"), lambda path: bpy.ops.import_scene.gltf(filepath=path)),
     ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
     ".obj": lambda path: bpy.ops.wm.obj_import(filepath=path),
     ".abc": lambda path: bpy.ops.wm.alembic_import(filepath=path, as_background_job=False),
-    ".usd": lambda path: bpy.ops.wm.usd_import(filepath=path),
+    **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), lambda path: bpy.ops.wm.usd_import(filepath=path)),
+    ".ply": lambda path: bpy.ops.wm.ply_import(filepath=path),
+    ".stl": lambda path: bpy.ops.wm.stl_import(filepath=path),
 }
+_WITH_RANGE = (".abc", ".usd", ".usda", ".usdc", ".usdz")
+"""Suffixes of files whose importers set the range of the scene."""
 CUTS: Mapping[str, Callable[[bpy.types.Object], int]] = {"open_lips": open_lips, "open_eyes": open_eyes}
 """Functions that remedy the findings of the check of a head, by their steps."""
-SUFFIXES = (".blend", *_IMPORTERS)
-"""Suffixes of files that can have a character."""
 
 
 def open_blend(path: Path) -> None:
@@ -88,21 +92,40 @@ def open_file(path: Path) -> None:
     if not check_readable(path):
         raise SourceError(f"There is no file {path}. Check its name.")
     require_utf8_name(Path(os.path.realpath(path)))
-    if suffix not in SUFFIXES:
-        raise SourceError(f"{path} is not a file of a character. Use {', '.join(SUFFIXES)}.")
+    if suffix not in _IMPORTERS:
+        raise SourceError(f"{path} is not a file of a character. Use {', '.join(CHARACTER_SUFFIXES)}.")
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    # Before the import, as importers convert seconds to frames of the scene.
+    if (rate := animation_rate(path)) is not None:
+        set_rate(bpy.context.scene, rate)
     try:
         with STOPPING.holding(), quiet():
             _IMPORTERS[suffix](str(path.resolve()))
-    except (RuntimeError, AttributeError) as error:
-        reason = str(error).strip().removeprefix("Error: ")
+        if suffix == ".vrm" and (count := add_expressions(gltf_of(path)[0], bpy.context.scene.objects)):
+            tell(f"{path.name} is driven by {count} expressions of its own.")
+    except (RuntimeError, AttributeError, OSError, ValueError) as error:
         raise SourceError(
-            f"{path} cannot be imported by this version of Blender ({reason}). Export it again, or use a .blend file."
+            f"{path} cannot be imported by this version of Blender ({_reason(error)}). Export it again, or use a "
+            ".blend file."
         ) from error
-    # These importers leave the range of the scene as it is; those of Alembic and USD set it.
-    if (frames := _animated_frames()) is not None:
-        bpy.context.scene.frame_start, bpy.context.scene.frame_end = frames
+    # The importers of other files than Alembic and USD leave the range of the scene as it is.
+    if (clips := clips_of(owners_of(bpy.data.objects))) and suffix not in _WITH_RANGE:
+        set_frames(clips)
+
+
+def set_frames(clips: Mapping[str, Clip]) -> None:
+    """Set the range of the scene to the clips that play, or to all if none does."""
+    playing = [clip for clip in clips.values() if clip.plays] or list(clips.values())
+    scene, frames = bpy.context.scene, [clip.frames for clip in playing]
+    scene.frame_start, scene.frame_end = min(first for first, _ in frames), max(last for _, last in frames)
+
+
+def _reason(error: Exception) -> str:
+    """The last line of an error of an operator, which may be that of an importer's traceback."""
+    lines = [line.strip() for line in str(error).splitlines()]
+    told = [line for line in lines if line and not line.startswith(("Location:", "File ", "Error: Python: Trace"))]
+    return told[-1].removeprefix("Error: ") if told else "it is damaged"
 
 
 def likely_mesh(path: Path) -> bpy.types.Object:
@@ -159,11 +182,3 @@ def bound_character(obj: bpy.types.Object) -> tuple[bpy.types.Object, Binding]:
     if note := turn_note(head, before):
         tell(f"{note}.")
     return head, binding
-
-
-def _animated_frames() -> tuple[int, int] | None:
-    """Return the first and last frame of all actions of the open file; None if it has none."""
-    ranges = [action.frame_range for action in bpy.data.actions]
-    if not ranges:
-        return None
-    return int(np.floor(min(start for start, _ in ranges))), int(np.ceil(max(end for _, end in ranges)))

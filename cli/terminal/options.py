@@ -15,7 +15,7 @@ from typing import IO, Any, TypeVar, get_type_hints
 from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.drive.settings import DriveSettings, PosingSettings
 from ...core.errors import FacemimeError, SourceError
-from ...core.puppet.job import HeadFile, PuppetJob
+from ...core.puppet.job import CHARACTER_SUFFIXES, HeadFile, PuppetJob
 from ...core.puppet.presets import COMMAND_NAMES, built_in_path, read_preset
 from ...core.puppet.settings import PuppetSettings
 from ...core.reading import shown
@@ -29,7 +29,7 @@ _FOLLOWED = ("rotation", "translation")
 _POSES = {"none": (False, False), "rotation": (True, False), "full": (True, True)}
 """Values of these settings by --pose."""
 _MAX_COUNT = 1_000_000_000
-_HEAD_FILE = re.compile(r"(.+\.(?:blend|glb|gltf|fbx|obj)):(.+)", re.IGNORECASE | re.DOTALL)
+_HEAD_FILE = re.compile(rf"(.+(?:{'|'.join(map(re.escape, CHARACTER_SUFFIXES))})):(.+)", re.IGNORECASE | re.DOTALL)
 """A file and the name of an object in it."""
 _MAX_PIXEL = 1_000_000
 

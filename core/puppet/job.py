@@ -9,15 +9,21 @@ from pathlib import Path
 from ..takes.file import SUFFIX
 from .settings import PuppetSettings
 
+CHARACTER_SUFFIXES = (
+    *(".blend", ".glb", ".gltf", ".vrm", ".fbx", ".obj", ".abc"),
+    *(".usd", ".usda", ".usdc", ".usdz", ".ply", ".stl"),
+)
+"""Suffixes of files that can have a character."""
+
 
 @dataclass(frozen=True)
 class HeadFile:
-    """A head in a .blend file.
+    """A head in a file.
 
     Attributes
     ----------
     path : Path
-        The .blend file.
+        A .blend file, or one of another program.
     name : str
         Name of the object; "" for the only one with landmarks.
     """

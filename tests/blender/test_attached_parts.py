@@ -7,6 +7,7 @@ from facemime.blender.characters import parts_of
 from facemime.blender.heads.attached import attach
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_OBJECTS, PART_PROPERTY, PARTS_PROPERTY
+from facemime.operators import attached_parts
 from facemime.operators.attached_parts import attend
 
 COUNT = len(PART_OBJECTS)
@@ -190,3 +191,39 @@ def test_undoing_to_a_state_without_parts_leaves_redo_possible(head):
     bpy.ops.ed.undo()
     update()
     assert len(parts()) == COUNT and bpy.ops.ed.redo.poll()
+
+
+def objects():
+    """Objects of the file by name, and of libraries by name and library."""
+    return sorted((obj.name, "" if obj.library is None else obj.library.name) for obj in bpy.data.objects)
+
+
+@pytest.mark.parametrize("how", ["editable", "overridden", "link"])
+def test_a_shot_with_a_character_of_another_file_opens_as_it_was_saved(head, how, tmp_path):
+    character = bpy.data.collections.new("Character")
+    bpy.context.scene.collection.children.link(character)
+    for obj in bpy.data.objects:
+        for collection in obj.users_collection:
+            collection.objects.unlink(obj)
+        character.objects.link(obj)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "character.blend"))
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "character.blend"), link=True) as (_, wanted):
+        wanted.collections = ["Character"]
+    (linked,) = wanted.collections
+    scene, layer = bpy.context.scene, bpy.context.view_layer
+    scene.collection.children.link(linked)
+    if how != "link":
+        linked.override_hierarchy_create(scene, layer, do_fully_editable=how == "editable")
+        scene.collection.children.unlink(linked)
+    update()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    before = objects()
+    for _ in range(2):
+        attached_parts._opened()
+        bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+        update()
+        assert objects() == before
+    if how != "link":
+        (own,) = (obj for obj in bpy.data.objects if PARTS_PROPERTY in obj and obj.library is None)
+        assert len(parts_of(own)) == COUNT and all(part.parent == own for part in parts_of(own).values())

@@ -116,9 +116,9 @@ def test_a_saved_copy_has_takes_of_its_own_and_the_open_file_keeps_its(home, pro
 def test_a_save_that_fails_moves_nothing(home, project):
     line = keep()
     here = line.path
-    (project / "shot.blend").mkdir()
+    (project / "file").touch()
     with pytest.raises(RuntimeError):
-        save(project / "shot.blend")
+        save(project / "file" / "shot.blend")
     assert line.path == here and len(takes_store.read(line)) == 60
 
 

@@ -1,0 +1,119 @@
+"""The clips of an animated character: actions of one name on its objects, of which one is played."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from ...core.errors import HeadError
+
+_JOINT = "|"
+"""Separates the object, the take and the layer in the names of actions that the FBX importer makes."""
+
+
+@dataclass
+class Clip:
+    """A clip.
+
+    Attributes
+    ----------
+    actions : dict of bpy.types.ID to (bpy.types.Action, handle)
+        Action of each animated data-block, and the handle of its slot; 0 if actions have none.
+    plays : bool
+        Whether it plays now.
+    """
+
+    actions: dict[bpy.types.ID, tuple[bpy.types.Action, int]] = field(default_factory=dict)
+    plays: bool = False
+
+    @property
+    def frames(self) -> tuple[int, int]:
+        """First and last frame."""
+        ranges = np.array([action.frame_range for action, _ in self.actions.values()])
+        return int(np.floor(ranges[:, 0].min())), int(np.ceil(ranges[:, 1].max()))
+
+
+def owners_of(objects: Iterable[bpy.types.Object]) -> list[bpy.types.ID]:
+    """Return the data-blocks that an animation of `objects` may move: themselves, and their shape keys."""
+    objects = list(objects)
+    keys = {obj.data.shape_keys for obj in objects if obj.type == "MESH" and obj.data.shape_keys is not None}
+    return [*objects, *sorted(keys, key=lambda key: key.name)]
+
+
+def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
+    """Return the clips of some data-blocks by name.
+
+    A clip is what NLA tracks or actions of one name hold, as importers make them.
+
+    Parameters
+    ----------
+    owners : iterable of bpy.types.ID
+    """
+    owners, clips = list(owners), dict[str, Clip]()
+    for owner in owners:
+        if (data := owner.animation_data) is None:
+            continue
+        active = data.action
+        for track in data.nla_tracks:
+            for strip in (strip for strip in track.strips if strip.action is not None):
+                clip = clips.setdefault(track.name, Clip())
+                clip.actions[owner] = strip.action, _handle(strip)
+                clip.plays |= strip.action == active if active is not None else not (track.mute or strip.mute)
+        if active is not None and not any(clip.actions.get(owner, (None,))[0] == active for clip in clips.values()):
+            clip = clips.setdefault(_take_of(active), Clip())
+            clip.actions[owner], clip.plays = (active, _handle(data)), True
+    for action, owner in _unassigned(owners):
+        clips.setdefault(_take_of(action), Clip()).actions.setdefault(owner, (action, 0))
+    return dict(sorted(clips.items()))
+
+
+def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> None:
+    """Play only the clip `name` on some data-blocks.
+
+    Parameters
+    ----------
+    clips : dict of str to Clip
+        From `clips_of`.
+    name : str
+    owners : iterable of bpy.types.ID
+
+    Raises
+    ------
+    HeadError
+        If there is no such clip.
+    """
+    if name not in clips:
+        known = ", ".join(clips)
+        raise HeadError(
+            f"There is no clip {name}. Choose one of: {known}." if known else f"There is no clip {name}, nor any other."
+        )
+    for owner in owners:
+        if (data := owner.animation_data) is not None:
+            data.action = None
+            for track in data.nla_tracks:
+                track.mute = True
+    for owner, (action, handle) in clips[name].actions.items():
+        data = owner.animation_data_create()
+        data.action = action
+        if handle and hasattr(data, "action_slot_handle"):
+            data.action_slot_handle = handle
+
+
+def _handle(user: bpy.types.AnimData | bpy.types.NlaStrip) -> int:
+    return int(getattr(user, "action_slot_handle", 0))
+
+
+def _take_of(action: bpy.types.Action) -> str:
+    parts = str(action.name).split(_JOINT)
+    return parts[1] if len(parts) > 1 else parts[0]
+
+
+def _unassigned(owners: list[bpy.types.ID]) -> list[tuple[bpy.types.Action, bpy.types.ID]]:
+    """Actions that the FBX importer made for a data-block, by the name in theirs, and did not assign."""
+    named = {owner.name: owner for owner in reversed(owners)}
+    free = [action for action in bpy.data.actions if _JOINT in action.name and not action.users - action.use_fake_user]
+    found = ((action, named.get(action.name.split(_JOINT)[0])) for action in free)
+    return [(action, owner) for action, owner in found if owner is not None]

@@ -1,0 +1,105 @@
+"""Defects of a mesh that keep its face from being found, each with its remedy."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.arrays import FloatArray
+from ...core.errors import HeadError
+from ..frames import to_blender
+from ..meshes import read_faces, read_vertices
+
+_INFINITE = 1e15
+"""Coordinate above which a vertex counts as infinite: Blender limits those that are set to the largest number."""
+_NAMED = 3
+"""Number of vertices that a message names."""
+_ASTRAY, _SPREAD = 16.0, 90.0
+"""Distance from the middle of a mesh above which a vertex is astray, relative to the distance within which this
+percentage of the vertices lie. The feet of a character whose head has nine tenths of the vertices are at 10."""
+_FEW = 0.01
+"""Largest share of the vertices that can be astray; more are a part of the mesh."""
+_ONE_SIDED = 0.98
+"""Share of the vertices on one side of a mirror above which the mesh is only half of what is seen."""
+_HARMLESS = {"ARMATURE", "SUBSURF", "MULTIRES", "MASK", "TRIANGULATE", "WELD", "EDGE_SPLIT", "BEVEL", "SOLIDIFY"}
+"""Types of modifiers that add no part of a face that the mesh lacks."""
+
+
+def require_sound(obj: bpy.types.Object) -> None:
+    """Raise HeadError if vertices of `obj` are not at numbers, which are then selected, or half of it is mirrored."""
+    _require_finite(obj)
+    mirrors = [modifier for modifier in _shown_modifiers(obj) if modifier.type == "MIRROR"]
+    for modifier in mirrors:
+        if _is_half(obj, modifier):
+            raise HeadError(
+                f"{obj.name} is one half of a head, and its modifier {modifier.name} shows the other. "
+                "Apply the modifier, and find the face again."
+            )
+
+
+def generating_modifiers(obj: bpy.types.Object) -> list[str]:
+    """Return the names of the modifiers that may add a face to what is in the mesh `obj`."""
+    names = [modifier.name for modifier in _shown_modifiers(obj) if modifier.type not in _HARMLESS]
+    final = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()) if names else obj
+    return names if names and len(final.data.vertices) != len(obj.data.vertices) else []
+
+
+def stray_vertices(obj: bpy.types.Object) -> NDArray[np.bool_]:
+    """Return (V,) whether a vertex is astray: in no face, as scans leave some behind, or far from all others."""
+    vertices, faces = read_vertices(obj.data).astype(np.float64), read_faces(obj.data)
+    loose = np.ones(len(vertices), dtype=bool)
+    loose[np.unique(faces[faces >= 0])] = False
+    if not (~loose).any():
+        return np.zeros_like(loose)
+    away = np.linalg.norm(vertices - np.median(vertices[~loose], axis=0), axis=1)
+    far = away > _ASTRAY * np.percentile(away[~loose], _SPREAD)
+    return loose | far if far.mean() <= _FEW else loose
+
+
+def _require_finite(obj: bpy.types.Object) -> None:
+    bad = _infinite(read_vertices(obj.data))
+    if bad.any():
+        _select(obj.data, bad)
+        numbers = ", ".join(map(str, np.flatnonzero(bad)[:_NAMED])) + (", ..." if bad.sum() > _NAMED else "")
+        raise HeadError(
+            f"{obj.name} has vertices whose positions are infinite or not numbers: {numbers}. "
+            "Delete them in Edit Mode, where they are selected, and find the face again."
+        )
+    for key in obj.data.shape_keys.key_blocks if obj.data.shape_keys is not None else ():
+        flat = np.empty(3 * len(key.points), dtype=np.float32)
+        key.points.foreach_get("co", flat)
+        if _infinite(flat.reshape(-1, 3)).any():
+            raise HeadError(
+                f"The shape key {key.name} of {obj.name} has positions that are infinite or not numbers. "
+                "Delete the key, and find the face again."
+            )
+
+
+def _infinite(places: NDArray[np.floating]) -> NDArray[np.bool_]:
+    return ~(np.abs(places) < _INFINITE).all(axis=1)
+
+
+def _select(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
+    """Select only these vertices (V,)."""
+    for elements in (mesh.edges, mesh.polygons):
+        elements.foreach_set("select", np.zeros(len(elements), dtype=bool))
+    mesh.vertices.foreach_set("select", chosen)
+
+
+def _shown_modifiers(obj: bpy.types.Object) -> list[bpy.types.Modifier]:
+    return [modifier for modifier in obj.modifiers if modifier.show_viewport]
+
+
+def _is_half(obj: bpy.types.Object, mirror: bpy.types.MirrorModifier) -> bool:
+    """Return whether (almost) all vertices of `obj` are on one side of a plane of its Mirror modifier."""
+    places = np.array(to_blender(read_vertices(obj.data)), dtype=np.float64)
+    if mirror.mirror_object is not None:
+        own = np.array(mirror.mirror_object.matrix_world.inverted_safe() @ obj.matrix_world)
+        places = places @ own[:3, :3].T + own[:3, 3]
+    return any(_is_one_sided(places[:, axis]) for axis in range(3) if mirror.use_axis[axis])
+
+
+def _is_one_sided(across: FloatArray) -> bool:
+    middle = 1e-4 * float(np.abs(across).max(initial=0.0))
+    return max((across >= -middle).mean(), (across <= middle).mean()) >= _ONE_SIDED
