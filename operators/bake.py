@@ -57,6 +57,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
         place_take(scene)
         with reporting_range(self, scene):
             bake, *_ = puppet_heads(scene, heads, take, settings, targets)
+        context.window_manager.facemime.recorded = ""
         frames, summary = len(bake.motion.times), bake.summary()
         report(self, f"{frames} frames, {summary}")
         for warning in bake.warnings:

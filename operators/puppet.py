@@ -9,6 +9,7 @@ from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
 from ..sessions.live import TICK, LiveSession
 from ..sessions.start import RigWatch, follow_settings, start_session
+from ..settings.panel_properties import keep_problem
 from .preview_place import PreviewDrag
 from .shared import ReportsErrors, heads_in, report, require, require_heads, require_left_edit_mode, require_no_session
 
@@ -64,7 +65,12 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> set[str]:
         """Start the session, and continue at every tick of a timer."""
         heads = heads_in(context)
-        self._session = start_session(context.scene, heads)
+        try:
+            self._session = start_session(context.scene, heads)
+        except FacemimeError as error:
+            keep_problem(context, str(error))
+            raise
+        keep_problem(context, "")
         self._display = FaceDisplay(heads, bones=_hides_bones(context))
         self._rigs = RigWatch(self._session)
         self._scene, self._drag = context.scene.name, PreviewDrag()
@@ -97,7 +103,9 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """Handle a tick; an error ends the session."""
         try:
             return self.tick(context)
-        except Exception:
+        except Exception as error:
+            if isinstance(error, FacemimeError):
+                keep_problem(context, str(error))
             self.finish(context)
             raise
 

@@ -77,6 +77,12 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
             return
         recording = session.recording
         session.stop_recording()
+        if dropped := recording.dropped:
+            report(
+                self,
+                f"{dropped} frames were skipped, as the video plays at its own rate. Track and Bake uses every frame",
+                "WARNING",
+            )
         if recording.video_failed:
             report(
                 self,
@@ -103,6 +109,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         if (show := TakeShow.running()) is not None:
             show.close()
         else:
+            context.window_manager.facemime.recorded = ""
             with reporting_range(self, context.scene):
                 TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
 

@@ -397,6 +397,7 @@ class LiveSession(Session):
         self.recording = None
         if listed := recording.add_to_list():
             self._recorded += listed
+            bpy.context.window_manager.facemime.recorded = listed[-1][1].stem
             push_undo("Record Take")
 
     def _continue_punch_in(self) -> None:

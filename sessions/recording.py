@@ -12,7 +12,7 @@ import bpy
 from ..core.errors import OutputError
 from ..core.live.reference_video import SUFFIX as VIDEO_SUFFIX
 from ..core.live.reference_video import ReferenceVideo
-from ..core.live.sources import LiveFrame
+from ..core.live.sources import LiveFrame, PacedSource
 from ..core.live.worker import LiveWorker
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.take import describe
@@ -61,6 +61,7 @@ class Recording:
     def __init__(self, worker: LiveWorker, scene: bpy.types.Scene, name: str, heads: Sequence[str] = ()) -> None:
         self.path, self.closed = new_path(name), False
         self._worker, self._scene, self._name, self._heads = worker, scene.name, name, tuple(heads)
+        self._dropped = worker.counts.dropped
         self._offset: float | None = None
         self._video: ReferenceVideo | None = None
         self._main = _Part(self.path, TakeWriter(self.path, {}))
@@ -80,6 +81,12 @@ class Recording:
     def frames(self) -> int:
         """Frames so far."""
         return self._main.frames
+
+    @property
+    def dropped(self) -> int:
+        """Frames of a video that were skipped since the start, as tracking could not keep up with it."""
+        played = isinstance(self._worker.source, PacedSource)
+        return self._worker.counts.dropped - self._dropped if played else 0
 
     @property
     def takes(self) -> int:

@@ -86,7 +86,7 @@ class TakeShow(Session):
         fit_range(scene, frames_of(scene, take.times, self._start), bake.start, asked=bake.fit_range)
         self.resume()
         push_undo("Preview on Head")
-        watch(_follow, _INTERVAL)
+        watch(follow_settings, _INTERVAL)
 
     def _driver(
         self, obj: bpy.types.Object, keys: LiveKeys | None, before: HeadDriver | None
@@ -167,7 +167,7 @@ def _show(scene: bpy.types.Scene, *_: object) -> None:
         session.close()
 
 
-def _follow() -> float | None:
+def follow_settings() -> float | None:
     """Let a shown take follow the settings, as no frame changes when a slider is moved."""
     session = TakeShow.running()
     if session is None:
@@ -184,4 +184,4 @@ def _follow() -> float | None:
 
 
 HANDLERS = {"frame_change_post": _show}
-TIMERS = (_follow,)
+TIMERS = (follow_settings,)

@@ -12,12 +12,14 @@ from bpy.props import (
 )
 
 from ..blender.heads.family import face_candidates, heads_of, leads_to_face
+from ..blender.messages import displayable
 from ..blender.placement import select_alone
 from ..blender.registering import watch
 from ..core.control_points.settings import SelectionSettings
 from ..core.heads.checks import Finding
 from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from .rna import with_settings
+from .values import source_text
 
 
 @with_settings(SelectionSettings)
@@ -73,8 +75,32 @@ class FacemimeMemory(bpy.types.PropertyGroup):
     checked: StringProperty(description="Name of the last head that was checked")
     findings: CollectionProperty(type=FacemimeFinding)
     landmarks: CollectionProperty(type=FacemimeLandmark)
+    problem: StringProperty(description="Why the last puppet could not start or was stopped")
+    problem_source: StringProperty(description="Settings of the source for which that holds")
+    recorded: StringProperty(description="Name of the take that was recorded last and is neither shown nor baked yet")
     unsure: StringProperty(description="Name of the last head on which the search was uncertain")
     wanted: StringProperty(description="iBUG numbers of the marks that would help most there")
+
+
+def keep_problem(context: bpy.types.Context, problem: str) -> None:
+    """Remember why a puppet could not start or was stopped, "" if it could, for the settings of the source as they are.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    problem : str
+    """
+    memory = context.window_manager.facemime
+    memory.problem = displayable(problem)
+    memory.problem_source = displayable(source_text(context.scene.facemime.source)) if problem else ""
+
+
+def problem_of(context: bpy.types.Context) -> str:
+    """Return the problem that is known for the source as it is set; "" if there is none."""
+    memory = context.window_manager.facemime
+    if not memory.problem or memory.problem_source != displayable(source_text(context.scene.facemime.source)):
+        return ""
+    return str(memory.problem)
 
 
 def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Finding]) -> None:

@@ -115,6 +115,20 @@ def face_of(source: FacemimeSource) -> tuple[float, float] | None:
     return _FACES[source.face]
 
 
+def source_text(source: FacemimeSource) -> str:
+    """Return the settings that determine what is opened as the source, as a text."""
+    user = preferences()
+    camera = [user.camera, user.width, user.height, user.rate] if source.kind == "CAMERA" else []
+    groups = [source, source.stream] if source.kind == "STREAM" else [source]
+    values = [
+        getattr(group, prop.identifier)
+        for group in groups
+        for prop in group.bl_rna.properties
+        if prop.type != "POINTER" and not prop.is_readonly
+    ]
+    return "|".join(map(str, [*values, *camera]))
+
+
 FILE_OF = {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}
 """The property with the file or folder of each kind of source that has one."""
 

@@ -28,6 +28,8 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         layout, settings, session = self.layout, context.scene.facemime, running()
         buttons = {"add_performer": "ADD", "remove_performer": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_performers", settings, ("performers", "performer"), 2, buttons)
+        if session is None:
+            labels(layout, context, "Fits the puppet to your face. Start the puppet first", "INFO")
         column = layout.column(align=True)
         column.operator("facemime.calibrate", text="Neutral Face", icon="USER").pose = "NEUTRAL"
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"

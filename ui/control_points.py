@@ -79,6 +79,9 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, obj, steps = self.layout, subject(context), context.scene.facemime_steps
+        labels(
+            layout, context, "Which of the 66 landmarks move this head. To choose fewer, record a take first", "INFO"
+        )
         _draw_selection(layout, steps)
         row = side_by_side(layout, context)
         row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")

@@ -5,7 +5,7 @@ import bpy
 from ..blender.messages import CONTEXT
 from ..core.puppet.presets import BUILT_IN
 from ..settings import presets
-from .sidebar import Sidebar, place, split_labels
+from .sidebar import Sidebar, labels, place, split_labels
 
 
 class FACEMIME_MT_presets(bpy.types.Menu):
@@ -65,6 +65,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         column.prop(settings, "strength_middle", text="Cheeks", text_ctxt=CONTEXT)
         column.prop(settings, "strength_lower", text="Jaw", text_ctxt=CONTEXT)
         layout.prop(settings, "smoothing")
+        labels(layout, context, "How the skin moves. Start the puppet or preview a take to see what changes", "INFO")
         layout.prop(settings, "mode")
         layout.prop(settings, "kernel")
         layout.prop(settings, "only_landmarks")
@@ -81,6 +82,7 @@ class FACEMIME_PT_fit(Sidebar, bpy.types.Panel):
         layout = self.layout
         split_labels(layout)
         settings = context.scene.facemime
+        labels(layout, context, "For lids, lips and regions that do not meet. The defaults suit most heads", "INFO")
         layout.prop(settings, "borders")
         layout.prop(settings, "exact")
         layout.prop(settings, "incremental")

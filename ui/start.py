@@ -1,17 +1,22 @@
-"""The box at the top of the tab: head, source, Start, Record, and status. It has the same height in every state."""
+"""The box at the top of the tab: head, source, the next step as a large button, and status."""
+
+import sys
 
 import bpy
 
 from ..blender.heads.family import character_in, face_candidates, known_keys
 from ..blender.messages import interface as _
+from ..core.live.camera import explain_failure, list_cameras
 from ..operators.place_points import placing_on
 from ..operators.puppet import running
 from ..operators.shared import heads_in, subject
 from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..sessions.tracking import TrackingSession
-from ..settings.values import FILE_OF
-from .sidebar import Sidebar, is_narrow, labels, place
+from ..settings.panel_properties import problem_of
+from ..settings.preferences import preferences
+from ..settings.values import FILE_OF, whole_file
+from .sidebar import Sidebar, is_narrow, labels, place, side_by_side
 from .status import draw_progress, summary
 
 
@@ -38,7 +43,10 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             translate=False,
         )
         row.menu("FACEMIME_MT_add", text="", icon="ADD")
-        column.prop(context.scene.facemime.source, "kind", text="")
+        source = context.scene.facemime.source
+        column.prop(source, "kind", text="")
+        if source.kind in FILE_OF:
+            column.prop(source, FILE_OF[source.kind], text="")
         row = layout.row(align=True)
         row.scale_y = 1.6
         if placing_on(subject(context)) is not None:
@@ -51,6 +59,8 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             draw_progress(row, tracking)
         elif TakeShow.running() is not None:
             row.operator("facemime.show_take", text="Stop", icon="SNAP_FACE", depress=True)
+        elif heads and source.kind == "VIDEO":
+            _draw_video(layout, row, source)
         elif heads:
             row.operator("facemime.puppet", text="Start", icon="PLAY")
             row.operator("facemime.record_take", text="Record", icon="REC")
@@ -59,8 +69,33 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
         else:
             row.operator("facemime.add_head", text="Add Head", icon="MONKEY")
             row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
+        _draw_take(layout, context, session)
         text, icon = _next_step(context, heads, character) if session is None else summary(session)
         labels(layout, context, text, icon)
+
+
+def _draw_video(layout: bpy.types.UILayout, row: bpy.types.UILayout, source: bpy.types.PropertyGroup) -> None:
+    """Draw the buttons for a video: every frame is tracked and baked, or it is played live."""
+    button = row.operator("facemime.puppet_video", text="Track and Bake", icon="FILE_MOVIE")
+    if path := whole_file(source):
+        button.filepath = path
+    row = layout.row(align=True)
+    row.operator("facemime.puppet", text="Play Live", icon="PLAY")
+    row.operator("facemime.record_take", text="Record", icon="REC")
+
+
+def _draw_take(layout: bpy.types.UILayout, context: bpy.types.Context, session: LiveSession | None) -> None:
+    """Draw what can be done with a take that was just recorded."""
+    takes = context.scene.facemime_takes
+    recording = session is not None and (session.recording is not None or session.recording_countdown is not None)
+    if not context.window_manager.facemime.recorded or recording or not 0 <= takes.index < len(takes.items):
+        return
+    column = layout.column(align=True)
+    column.label(text=takes.items[takes.index].name, icon="ACTION", translate=False)
+    row = side_by_side(column, context)
+    row.operator("facemime.show_take", text="Preview", icon="PLAY")
+    row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
+    row.operator("facemime.bake_take", text="Bake", icon="ACTION")
 
 
 def _name(heads: list[bpy.types.Object], character: bpy.types.Object | None) -> str:
@@ -113,12 +148,27 @@ def _next_step(
     source = context.scene.facemime.source
     if source.kind in FILE_OF and not getattr(source, FILE_OF[source.kind]):
         asked = {
-            "VIDEO": _("Choose the video in Source"),
-            "PICTURES": _("Choose the folder in Source"),
-            "TAKE": _("Choose the take in Source"),
+            "VIDEO": _("Choose the video above"),
+            "PICTURES": _("Choose the folder above"),
+            "TAKE": _("Choose the take above"),
         }
         return asked[source.kind], "INFO"
+    if problem := problem_of(context) or _absent_camera(source):
+        return problem, "ERROR"
+    if context.window_manager.facemime.recorded:
+        return _("Recorded. Preview it, trim it, or bake it to the head"), "CHECKMARK"
+    if source.kind == "VIDEO":
+        return _("Track and Bake uses every frame; played live, frames are skipped"), "INFO"
     return _("Ready"), "CHECKMARK"
+
+
+def _absent_camera(source: bpy.types.PropertyGroup) -> str:
+    """Return the message for a numbered camera that Linux does not have; other systems cannot be asked."""
+    device = preferences().camera.strip()
+    if source.kind != "CAMERA" or sys.platform != "linux" or not device.isdecimal():
+        return ""
+    present = any(camera.device == device for camera in list_cameras())
+    return "" if present else explain_failure("closed", device)
 
 
 class FACEMIME_MT_add(bpy.types.Menu):

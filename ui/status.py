@@ -47,10 +47,7 @@ def countdown_text(session: LiveSession) -> str:
 
 def latency_text(session: LiveSession) -> str:
     """Return the delay from the camera to the vertices and the frame rate; "" before the first frame."""
-    watch = session.stopwatch
-    if len(watch) == 0:
-        return ""
-    return f"{1000 * watch.latency:.0f} ms   {watch.rate:.0f} fps"
+    return session.stopwatch.text
 
 
 def _hidden() -> str:
@@ -71,7 +68,10 @@ def summary(session: LiveSession) -> tuple[str, str]:
     if is_hidden(latest.result.landmark_confidence):
         return _hidden(), "HIDE_ON"
     if session.recording is not None:
-        return _("{count} frames recorded").format(count=session.recording.frames), "REC"
+        count, dropped = session.recording.frames, session.recording.dropped
+        if dropped:
+            return _("{count} frames recorded, {dropped} skipped").format(count=count, dropped=dropped), "REC"
+        return _("{count} frames recorded").format(count=count), "REC"
     return latency_text(session), "PREVIEW_RANGE"
 
 

@@ -23,6 +23,10 @@ _REDRAWS = 20
 once."""
 _RECENT = 2.0
 """Seconds over which the rate is measured."""
+_SHORTEST = 0.2
+"""Shortest time in seconds over which the rate is measured."""
+_READABLE = 0.5
+"""Seconds for which a text stays as it is."""
 _NOTABLE = 0.004
 """Seconds above which a stage is worth naming."""
 
@@ -46,6 +50,7 @@ class Stopwatch:
         self._delays: deque[tuple[float, ...]] = deque(maxlen=_KEPT)
         self._when: deque[float] = deque(maxlen=_KEPT)
         self._redraws: deque[float] = deque(maxlen=_REDRAWS)
+        self._text = "", 0.0
 
     def add(self, delays: Delays) -> None:
         """Add a frame."""
@@ -67,8 +72,17 @@ class Stopwatch:
     @property
     def rate(self) -> float:
         """Number of recent frames per second that reached the mesh."""
-        since = perf_counter() - _RECENT
-        return sum(when > since for when in tuple(self._when)) / _RECENT
+        now, when = perf_counter(), tuple(self._when)
+        span = min(_RECENT, now - when[0]) if when else 0.0
+        return sum(now - moment <= span for moment in when) / max(span, _SHORTEST)
+
+    @property
+    def text(self) -> str:
+        """Delay and rate as a text, the same wherever it is shown for a while; "" before the first frame."""
+        now = perf_counter()
+        if self._delays and now - self._text[1] > _READABLE:
+            self._text = f"{1000 * self.latency:.0f} ms   {self.rate:.0f} fps", now
+        return self._text[0]
 
     def medians(self) -> Mapping[str, float]:
         """Return the median seconds of each stage; empty before the first frame."""

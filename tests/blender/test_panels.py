@@ -1,5 +1,6 @@
 """Panels draw in every state, tested without a window."""
 
+import sys
 from types import SimpleNamespace
 
 import blf
@@ -19,6 +20,7 @@ from facemime.core.landmarks import IBUG68_INDICES
 from facemime.core.takes.file import save_take
 from facemime.operators.calibrate import FACEMIME_OT_calibrate
 from facemime.settings import takes_store
+from facemime.settings.preferences import preferences
 from facemime.ui.calibration import FACEMIME_PT_calibration
 from facemime.ui.control_points import (
     FACEMIME_MT_select_from_take,
@@ -43,6 +45,7 @@ from facemime.ui.takes import (
     FACEMIME_UL_key_rows,
     FACEMIME_UL_takes,
 )
+from live_ticks import wait_for
 from takes import performance
 
 
@@ -248,9 +251,58 @@ def test_the_box_on_top_asks_for_the_file_of_the_source_before_reporting_ready(k
     add_head(bpy.context)
     source = bpy.context.scene.facemime.source
     source.kind = kind
-    assert f"Choose {step} in Source" in draw(FACEMIME_PT_start) and "Ready" not in draw(FACEMIME_PT_start)
+    assert f"Choose {step} above" in draw(FACEMIME_PT_start) and "Ready" not in draw(FACEMIME_PT_start)
     setattr(source, prop, "mine")
+    assert "Choose" not in draw(FACEMIME_PT_start)
+    assert ("Track and Bake" if kind == "VIDEO" else "Ready") in draw(FACEMIME_PT_start)
+
+
+def test_the_box_on_top_says_why_a_puppet_could_not_start_until_the_source_is_changed():
+    add_head(bpy.context)
+    source = bpy.context.scene.facemime.source
+    source.kind, source.take = "TAKE", "/none.facetake"
     assert "Ready" in draw(FACEMIME_PT_start)
+    with pytest.raises(RuntimeError):
+        bpy.ops.facemime.puppet()
+    drawn = draw(FACEMIME_PT_start)
+    assert "Ready" not in drawn and "none.facetake" in drawn
+    source.take = "/other.facetake"
+    assert "Ready" in draw(FACEMIME_PT_start)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux lists its cameras")
+def test_the_box_on_top_is_not_ready_with_a_camera_that_is_not_there():
+    add_head(bpy.context)
+    bpy.context.scene.facemime.source.kind = "CAMERA"
+    preferences().camera = "63"
+    drawn = draw(FACEMIME_PT_start)
+    preferences().property_unset("camera")
+    assert "No camera 63" in drawn and "Ready" not in drawn
+
+
+def test_the_box_on_top_offers_the_keys_of_a_character_before_its_face():
+    head = add_head(bpy.context, units=True)
+    for child in list(head.children):
+        bpy.data.objects.remove(child)
+    for key in list(head.data.keys()):
+        del head.data[key]
+    drawn = draw(FACEMIME_PT_start)
+    assert "Use Its 52 ARKit Keys" in drawn and head.name in drawn
+    assert drawn.index("facemime.bind_keys") < drawn.index("facemime.bind_landmarks")
+    assert bpy.ops.facemime.bind_keys() == {"FINISHED"}
+    assert "facemime.puppet" in draw(FACEMIME_PT_start)
+
+
+def test_the_box_on_top_shows_the_next_steps_after_a_recording(session, takes):
+    assert bpy.ops.facemime.record_take(name="First") == {"FINISHED"}
+    wait_for(lambda: session.recording.frames > 3)
+    assert "facemime.bake_take" not in draw(FACEMIME_PT_start)
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    drawn = draw(FACEMIME_PT_start)
+    assert all(f"facemime.{step}_take" in drawn for step in ("show", "trim", "bake")) and "First" in drawn
+    session.close()
+    assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+    assert "facemime.bake_take" not in draw(FACEMIME_PT_start)
 
 
 def test_a_selected_part_stands_for_its_head():

@@ -18,8 +18,9 @@ from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.smooth import smooth_take
 from facemime.sessions.session import Session
-from facemime.sessions.show import TakeShow
+from facemime.sessions.show import TakeShow, follow_settings
 from facemime.settings import takes_store
+from live_ticks import shown
 from takes import performance
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
@@ -49,6 +50,22 @@ def test_the_range_of_the_scene_becomes_that_of_the_shown_take_which_is_reported
     assert (bpy.context.scene.frame_start, bpy.context.scene.frame_end) == (1, frames) != (1, 250)
     assert f"frames 1 to {frames}" in capfd.readouterr().out
     bpy.ops.facemime.show_take()
+
+
+def test_a_shown_take_follows_the_settings_and_the_keys_that_drive_the_head(imported):
+    head, scene = add_head(bpy.context, units=True), bpy.context.scene
+    bpy.ops.facemime.show_take()
+    scene.frame_set(41)
+    before = shown(head)
+    scene.facemime.strength_lower = 0.2
+    follow_settings()
+    assert np.abs(shown(head) - before).max() > 1e-3
+    scene.facemime.drive_by = "KEYS"
+    follow_settings()
+    assert LIVE_KEY not in head.data.shape_keys.key_blocks
+    assert max(key.value for key in head.data.shape_keys.key_blocks[1:]) > 0.05
+    bpy.ops.facemime.show_take()
+    assert not any(key.value for key in head.data.shape_keys.key_blocks[1:])
 
 
 def test_a_shown_take_is_not_saved_with_the_file_and_continues_afterwards(imported, tmp_path):
