@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import bpy
 from mathutils import Euler, Matrix, Quaternion, Vector
 
-from .actions import baked_paths, curve_paths
+from .actions import baked_paths
+from .muting import curve_paths
 from .names import OWN_POSE_PROPERTY
 
 Posable = bpy.types.Object | bpy.types.PoseBone
@@ -129,8 +130,7 @@ def _stored(owner: Posable) -> dict[str, Any] | None:
 
 def _unposed(owner: Posable) -> dict[str, Any]:
     """Return the user's values of an owner for which none are stored: those it has, unless animation put them there."""
-    bone = not isinstance(owner, bpy.types.Object)
-    if _is_baked(owner) or (bone and not curve_paths(owner.id_data).isdisjoint(_paths(owner))):
+    if _is_baked(owner) or not curve_paths(owner.id_data).isdisjoint(_paths(owner)):
         return {"mode": "QUATERNION", "location": [0.0] * 3, "rotation": [1.0, 0.0, 0.0, 0.0]}
     return {"mode": owner.rotation_mode, **_channels(owner)}
 

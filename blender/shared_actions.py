@@ -6,6 +6,8 @@ from collections.abc import Iterable
 
 import bpy
 
+from .fcurves import slot_handle
+
 
 def make_actions_own(owners: Iterable[bpy.types.ID]) -> None:
     """Give data-blocks of a character a copy of each action that plays elsewhere too, or is linked.
@@ -21,12 +23,12 @@ def make_actions_own(owners: Iterable[bpy.types.ID]) -> None:
     animated = [owner for owner in dict.fromkeys(owners) if _active(owner) is not None]
     copies: dict[tuple[bpy.types.Action, int], bpy.types.Action] = {}
     for owner in animated:
-        action, handle = owner.animation_data.action, _handle(owner.animation_data)
+        action, handle = owner.animation_data.action, slot_handle(owner.animation_data)
         if (action, handle) not in copies and _plays_elsewhere(action, handle, animated):
             copies[action, handle] = action.copy()
     for owner in animated:
         data = owner.animation_data
-        handle = _handle(data)
+        handle = slot_handle(data)
         if (copy := copies.get((data.action, handle))) is not None:
             data.action = copy
             if handle:
@@ -37,12 +39,6 @@ def _active(owner: bpy.types.ID) -> bpy.types.Action | None:
     return None if owner.animation_data is None else owner.animation_data.action
 
 
-def _handle(holder: bpy.types.AnimData | bpy.types.NlaStrip) -> int:
-    """Return the handle of the slot that plays; 0 if there is none, or actions have no slots."""
-    slot = getattr(holder, "action_slot", None)
-    return 0 if slot is None else int(slot.handle)
-
-
 def _plays_elsewhere(action: bpy.types.Action, handle: int, owners: list[bpy.types.ID]) -> bool:
     """Return whether a slot of an action plays on another data-block, or on a strip, or cannot be changed here."""
     if action.library is not None:
@@ -51,9 +47,9 @@ def _plays_elsewhere(action: bpy.types.Action, handle: int, owners: list[bpy.typ
         data = getattr(user, "animation_data", None)
         if data is None:
             continue
-        if user not in owners and data.action == action and _handle(data) == handle:
+        if user not in owners and data.action == action and slot_handle(data) == handle:
             return True
         strips = (strip for track in data.nla_tracks for strip in track.strips)
-        if any(strip.action == action and _handle(strip) == handle for strip in strips):
+        if any(strip.action == action and slot_handle(strip) == handle for strip in strips):
             return True
     return False

@@ -8,7 +8,6 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
-from ..blender.animation.targets import PoseTarget
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
 from ..blender.heads.expression_keys import making_expression_keys
@@ -165,24 +164,6 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         write_bones(head, armature, replace(bones, **{self.target: name}))
 
 
-class FACEMIME_OT_mute_bone(OnHead, bpy.types.Operator):
-    """Mute the animation of this bone, so that it takes the pose instead; the animation itself is kept"""
-
-    bl_idname = "facemime.mute_bone"
-    bl_label = "Mute Bone Animation"
-
-    needs_landmarks = False
-
-    target: EnumProperty(name="Target", items=[(key, label, "") for key, label in BONES.items()])
-
-    def work(self, context: bpy.types.Context) -> None:
-        armature, bones = read_bones(subject(context))
-        bone = getattr(bones, self.target)
-        if armature is None or not bone:
-            raise HeadError("This head has no such bone. Set one first.")
-        PoseTarget(armature, bone).mute()
-
-
 class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.types.Operator):
     """Add a set of shape keys, such as ARKit's, to all meshes of the face; existing keys are kept"""
 
@@ -230,6 +211,5 @@ CLASSES = (
     FACEMIME_OT_remove_part,
     FACEMIME_OT_find_parts,
     FACEMIME_OT_set_bone,
-    FACEMIME_OT_mute_bone,
     FACEMIME_OT_make_expression_keys,
 )

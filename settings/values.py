@@ -90,10 +90,10 @@ def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
 
 
 def placing_of(scene: bpy.types.Scene) -> BakeSettings:
-    """Return the default settings of a bake with the user's choice of its place in the scene."""
+    """Return the default settings of a bake, with the user's choices of its place and of what else plays."""
     bake = scene.facemime_takes.bake
     place_take(scene)
-    return BakeSettings(start=bake.start, fit_range=bake.fit_range)
+    return BakeSettings(keep_animation=bake.keep_animation, start=bake.start, fit_range=bake.fit_range)
 
 
 def place_take(scene: bpy.types.Scene) -> float:

@@ -2,7 +2,6 @@
 
 import bpy
 
-from ..blender.animation.targets import PoseTarget
 from ..blender.characters import objects_of, part_table, read_bones
 from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import CONTEXT
@@ -105,8 +104,6 @@ def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
         bone = getattr(bones, target)
         row = row.row(align=True)
         row.operator("facemime.set_bone", text=bone or "None", translate=not bone, icon="BONE_DATA").target = target
-        if bone in armature.pose.bones and PoseTarget(armature, bone).is_animated:
-            row.operator("facemime.mute_bone", text="", icon="ACTION").target = target
 
 
 CLASSES = (FACEMIME_PT_parts, FACEMIME_PT_check)

@@ -129,6 +129,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column.prop(bake, "clean")
         layout.prop(bake, "start")
         layout.prop(bake, "fit_range")
+        layout.prop(bake, "keep_animation")
         layout.prop(bake, "nla")
         layout.operator("facemime.bake_take", icon="ACTION")
         obj = subject(context)

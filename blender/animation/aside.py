@@ -13,8 +13,10 @@ from typing import Any
 
 import bpy
 
-from ..actions import baked_paths, curves_of, find_curve, slot_of, tracks_of
+from ..actions import baked_paths
+from ..fcurves import curves_in, find_curve, slot_handle
 from ..names import ASIDE_PROPERTY
+from ..tracks import tracks_of_bakes
 from .bake_cache import MODIFIER
 
 Item = list[Any]
@@ -56,9 +58,9 @@ def restore_all() -> None:
 
 def curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
     """Return the curves of the active action of `owner` in the data paths that `wanted` accepts."""
-    if not (found := [curve for curve in curves_of(owner) if wanted(curve.data_path)]):
+    if not (found := [curve for curve in curves_in(owner.animation_data) if wanted(curve.data_path)]):
         return []
-    action, slot = owner.animation_data.action, slot_of(owner)
+    action, slot = owner.animation_data.action, slot_handle(owner.animation_data)
     return [["curve", action.name, slot, curve.data_path, curve.array_index] for curve in found]
 
 
@@ -72,7 +74,7 @@ def drivers(owner: bpy.types.ID, wanted: Callable[[bpy.types.FCurve], bool]) -> 
 def bake_of(owner: bpy.types.ID) -> list[Item]:
     """Return the curves and tracks that a bake wrote for `owner`."""
     baked = baked_paths(owner)
-    return [*curves(owner, baked.__contains__), *(["track", track.name] for track in tracks_of(owner))]
+    return [*curves(owner, baked.__contains__), *(["track", track.name] for track in tracks_of_bakes(owner))]
 
 
 def keys(names: Iterable[str]) -> list[Item]:

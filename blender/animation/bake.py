@@ -14,6 +14,7 @@ from ...core.errors import HeadError, SourceError
 from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
 from ..characters import members_of
+from ..muting import Silenced
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..shared_actions import make_actions_own
 from .bake_cache import remove_cache
@@ -56,10 +57,8 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
             )
     for member in members_of(obj):
         _check_keys(member.obj, new=new_keys, old=old_keys)
-    for target in _all_targets(obj, targets):
-        check_curves(target.obj, target.data_paths)
-    for child in filter(has_tongue, obj.children):
-        check_curves(child.data.shape_keys, [value_path(TONGUE_KEY)])
+    for block in animated_owners(obj, targets):
+        check_curves(block)
 
 
 def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
@@ -110,7 +109,8 @@ def bake_pose(
     translation: bool = False,
     clean: tuple[float, float] | None = None,
     nla: bool = False,
-) -> None:
+    keep: bool = False,
+) -> list[Silenced]:
     """Animate the pose of head and eyes, and of the lower teeth and the tongue.
 
     Parameters
@@ -130,7 +130,16 @@ def bake_pose(
         Error allowed when removing keyframes: radians, and the mesh's unit.
     nla : bool
         Whether to use an NLA track.
+    keep : bool
+        Whether other animation of bones is added to, and drivers are left, instead of muting them. That of objects'
+        delta transforms is always added to: it is where the user placed them.
+
+    Returns
+    -------
+    list of Silenced
+        What was muted.
     """
+    silenced = []
     angle, length = clean or (None, None)
     turns, moves = motion.rotation if rotation else None, motion.translation if translation else None
     carried = carried_targets(obj, targets["head"])
@@ -143,11 +152,14 @@ def bake_pose(
         curves.setdefault(target.obj, []).extend(target.curves(turns, None, angle))
     for owner, owned in curves.items():
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
-        write_curves(owner, name, frames, owned, nla=nla)
+        add = keep or owner.type != "ARMATURE"
+        silenced += write_curves(owner, name, frames, owned, nla=nla, add=add, leave_drivers=keep)
         keep_axis_angles_moving(scene, owner, frames)
     for child in filter(has_tongue, obj.children):
         curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
-        write_curves(child.data.shape_keys, f"{child.name} Expression", frames, [curve], nla=nla)
+        name = f"{child.name} Expression"
+        silenced += write_curves(child.data.shape_keys, name, frames, [curve], nla=nla, add=keep, leave_drivers=keep)
+    return silenced
 
 
 def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:

@@ -15,7 +15,9 @@ from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, members_of
 from ..meshes import group_weights, key_names
+from ..muting import Silenced
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
+from .key_drivers import family_keys, following_paths
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ def has_known_set(obj: bpy.types.Object) -> bool:
 def read_keys(members: Sequence[Member]) -> MeshKeys:
     """Read the user's shape keys of a head that are not muted; one that is muted on the head counts as muted on all.
 
+    Keys whose drivers make them follow other keys of the head are left out, as these move them.
+
     Parameters
     ----------
     members : sequence of Member
@@ -98,6 +102,13 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
             if not block.mute and name not in muted:
                 require_relative(member.obj)
                 blocks.setdefault(name, []).append((member, block))
+    family = family_keys(members)
+    following = {keys: following_paths(keys, family) for keys in family}
+    blocks = {
+        name: found
+        for name, found in blocks.items()
+        if any(value_path(name) not in following[member.obj.data.shape_keys] for member, _ in found)
+    }
     if not blocks:
         raise HeadError(
             f"{head.name} has no shape keys. Bake to new shape keys, or add the built-in head with ARKit shape keys."
@@ -134,7 +145,7 @@ def bake_new_keys(
     *,
     clean: float = 0.0,
     nla: bool = False,
-) -> None:
+) -> list[Silenced]:
     """Add shape keys to the meshes of a head and animate them; those of one name move together.
 
     Parameters
@@ -155,7 +166,8 @@ def bake_new_keys(
             key.points.foreach_set("co", (rest + mode).reshape(-1))
             key.slider_min, key.slider_max = -1.0, 1.0
             key.value = 0.0
-    bake_values(members, dict(zip(names, basis.weights.T, strict=True)), frames, basis.modes, clean=clean, nla=nla)
+    values = dict(zip(names, basis.weights.T, strict=True))
+    return bake_values(members, values, frames, basis.modes, clean=clean, nla=nla)
 
 
 def bake_values(
@@ -166,8 +178,9 @@ def bake_values(
     *,
     clean: float = 0.0,
     nla: bool = False,
-) -> None:
-    """Animate existing shape keys of a head on each of its meshes that has them.
+    keep: bool = False,
+) -> list[Silenced]:
+    """Animate existing shape keys of a head on each of its meshes that has them and does not make them follow others.
 
     Parameters
     ----------
@@ -182,17 +195,30 @@ def bake_values(
         Error of a vertex allowed when removing keyframes, the unit of the head; 0 keeps all keyframes.
     nla : bool
         Whether to use an NLA track.
+    keep : bool
+        Whether other animation of the keys is added to, and drivers are left, instead of muting them.
+
+    Returns
+    -------
+    list of Silenced
+        What was muted.
     """
     peaks = np.sqrt(np.square(offsets).sum(axis=2).max(axis=1, initial=0.0))
     curves = {}
     for (name, curve), peak in zip(values.items(), peaks, strict=True):
         tolerance = clean / (len(peaks) * max(float(peak), 1e-9)) if clean > 0.0 else None
         curves[name] = Curve(value_path(name), 0, curve, tolerance)
+    silenced, family = [], family_keys(members)
     for obj in (member.obj for member in members):
         if (keys := obj.data.shape_keys) is not None:
             obj.show_only_shape_key = False
-            own = [curve for name, curve in curves.items() if name in keys.key_blocks]
-            write_curves(keys, f"{obj.name} Expression", frames, own, nla=nla)
+            following = following_paths(keys, family)
+            own = [
+                curve for name, curve in curves.items() if name in keys.key_blocks and curve.data_path not in following
+            ]
+            name = f"{obj.name} Expression"
+            silenced += write_curves(keys, name, frames, own, nla=nla, add=keep, leave_drivers=keep)
+    return silenced
 
 
 def remove_baked_keys(obj: bpy.types.Object) -> None:
@@ -211,10 +237,15 @@ def remove_baked_keys(obj: bpy.types.Object) -> None:
 
 def _offsets(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
     """Return (V, 3) displacements by a key at value 1 in Blender's axes, scaled by its vertex group if it has one."""
-    offsets = _points(key) - _points(key.relative_key)
+    offsets = key_offsets(key)
     if key.vertex_group in obj.vertex_groups:
         offsets *= group_weights(obj, key.vertex_group)[:, None]
     return offsets
+
+
+def key_offsets(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """Return (V, 3) displacements by a key at value 1 in Blender's axes, without its vertex group."""
+    return _points(key) - _points(key.relative_key)
 
 
 def _points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:

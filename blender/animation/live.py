@@ -16,7 +16,7 @@ from ..characters import Member, members_of
 from ..meshes import exists
 from ..names import PART_PROPERTY
 from ..shared_actions import make_actions_own
-from .aside import bake_of, curves, restore, set_aside
+from .aside import Item, bake_of, curves, drivers, restore, set_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .live_mesh import LiveMesh, changed
 from .live_values import LiveValues
@@ -102,8 +102,17 @@ class LiveHeadObject:
         for target in self._living_targets():
             target.begin()
         for owner in self._owners():
-            set_aside(owner, [*curves(owner, lambda path: path.startswith("delta_")), *bake_of(owner)])
+            set_aside(owner, [*self._animation_of_pose(owner), *bake_of(owner)])
         self._shown = True
+
+    def _animation_of_pose(self, owner: bpy.types.ID) -> list[Item]:
+        """Return what animates the pose of a data-block: its bones that are posed, or its delta transform."""
+        posed = {path for target in self._living_targets() if target.obj == owner for path in target.channels}
+
+        def moves(path: str) -> bool:
+            return path.startswith("delta_") or path in posed
+
+        return [*curves(owner, moves), *drivers(owner, lambda driver: moves(driver.data_path))]
 
     def _values_of(self, mesh: bpy.types.Mesh, family: list[bpy.types.Key]) -> LiveValues | None:
         return None if mesh.shape_keys is None else LiveValues(mesh, self.keys, family)

@@ -16,6 +16,7 @@ from ..meshes import exists
 from ..names import VALUES_PROPERTY
 from .aside import curves, drivers, restore, set_aside
 from .bake_keys import value_path
+from .key_drivers import following_paths
 
 
 class LiveValues:
@@ -33,7 +34,7 @@ class LiveValues:
 
     def __init__(self, mesh: bpy.types.Mesh, names: Sequence[str], family: Iterable[bpy.types.Key]) -> None:
         self._keys = mesh.shape_keys
-        following = _followers(self._keys, set(family))
+        following = following_paths(self._keys, set(family))
         blocks = self._keys.key_blocks
         self._places = {
             blocks.find(name): number
@@ -88,14 +89,3 @@ def _kept(keys: bpy.types.Key) -> Mapping[str, float]:
     except ValueError:
         return {}
     return {name: value for name, value in values.items() if isinstance(value, (int, float))}
-
-
-def _followers(keys: bpy.types.Key, family: set[bpy.types.Key]) -> set[str]:
-    """Return the data paths of values that a driver computes from a shape key of `family`."""
-    data = keys.animation_data
-    return set() if data is None else {driver.data_path for driver in data.drivers if _reads(driver, family)}
-
-
-def _reads(driver: bpy.types.FCurve, family: set[bpy.types.Key]) -> bool:
-    targets = [target for variable in driver.driver.variables for target in variable.targets]
-    return any(target.id in family and target.data_path.startswith("key_blocks[") for target in targets)

@@ -8,8 +8,9 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ...core.arrays import FloatArray
-from ..actions import Curve, animated_paths, strips_of, write_curves
+from ..actions import Curve, write_curves
 from ..characters import own_rotation
+from ..muting import animated_paths, strips_of
 from ..own_pose import own_mode
 from .targets import continuous_quaternions
 

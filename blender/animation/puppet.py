@@ -22,9 +22,9 @@ from ...core.puppet.performance import Performance
 from ...core.puppet.settings import PuppetSettings
 from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
-from ..actions import check_curves
 from ..characters import members_of, objects_of
 from ..meshes import driven_by_keys, key_names, mesh_of
+from ..muting import Silenced, name_them
 from ..rigs import read_rig
 from ..timeline import frames_of
 from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked
@@ -36,11 +36,10 @@ from .bake_keys import (
     has_known_set,
     moving_key_names,
     read_keys,
-    value_path,
 )
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
-from .underneath import playing_under
+from .underneath import mute_disturbing, playing_under
 
 TOLERANCE = 0.009
 """Error allowed for a basis of new shape keys, in eye distances."""
@@ -63,8 +62,6 @@ class PuppetReport:
         Largest error of a vertex in a frame, in outer-eye distances; NaN for a head that only its keys drive.
     neutral : Neutral
     motion : HeadMotion
-    kept : tuple of str
-        Bones that were not moved, as they have their own animation.
     others : tuple of str
         Other actions and NLA tracks that move shape keys of the character.
     start : float
@@ -77,7 +74,6 @@ class PuppetReport:
     worst_error: float
     neutral: Neutral
     motion: HeadMotion
-    kept: tuple[str, ...] = ()
     others: tuple[str, ...] = ()
     start: float = 1.0
     notes: tuple[str, ...] = ()
@@ -86,10 +82,6 @@ class PuppetReport:
     def warnings(self) -> list[str]:
         """Warnings for the user about the result."""
         warnings = [self.neutral.warning] if self.neutral.warning else []
-        if self.kept:
-            names = ", ".join(self.kept)
-            warning = f"Bones that keep their own animation: {names}. Mute it in Head > Character to move them."
-            warnings.append(warning)
         if self.others:
             names = ", ".join(self.others)
             warning = f"Other animation moves the shape keys too: {names}. Mute it in Takes > Bake."
@@ -154,18 +146,30 @@ def puppet_head(
     else:
         plan = _PLANS[bake.keys](obj, motion, frames, unit, bake)
     remove_baked(obj, targets)
-    plan.write()
+    silenced = plan.write()
     follow = {"rotation": settings.rotation, "translation": settings.translation}
     clean = (bake.clean, bake.clean * unit) if bake.clean > 0.0 else None
-    bake_pose(scene, obj, targets, motion, frames, **follow, clean=clean, nla=bake.nla)
+    how = {"nla": bake.nla, "keep": bake.keep_animation}
+    silenced += bake_pose(scene, obj, targets, motion, frames, **follow, clean=clean, **how)
+    if not bake.keep_animation and not bake.writes_cache:
+        silenced += mute_disturbing(obj, motion)
     fit_range(scene, whole, bake.start, asked=bake.fit_range)
     if bake.keys == "alembic":
         with holding_take(scene, whole):
             export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
-    kept = tuple(target.bone for target in targets.values() if target.still)
     error = plan.error / unit + (bake.clean if plan.keys else 0.0)
-    notes = tuple(filter(None, [outside_range(scene, whole)]))
-    return PuppetReport(plan.keys, error, neutral, motion, kept, tuple(playing_under(obj)), start, notes)
+    notes = tuple(filter(None, [_what_was_muted(silenced), outside_range(scene, whole)]))
+    others = () if bake.writes_cache else tuple(playing_under(obj))
+    return PuppetReport(plan.keys, error, neutral, motion, others, start, notes)
+
+
+def _what_was_muted(silenced: Sequence[Silenced]) -> str:
+    """Return a warning that names what was muted; an empty text if nothing was."""
+    if not silenced:
+        return ""
+    names = name_them(silenced)
+    warning = f"Muted, as the take moves the same: {names}. Use Keep Animation to add the take to it."
+    return warning
 
 
 def puppet_heads(
@@ -243,11 +247,14 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
 
 @dataclass(frozen=True)
 class _Plan:
-    """A bake that was computed but not written yet: number of keys, error in the mesh's unit, and its writer."""
+    """A bake that was computed but not written yet: number of keys, error in the mesh's unit, and its writer.
+
+    The writer returns what it muted.
+    """
 
     keys: int
     error: float
-    write: Callable[[], None]
+    write: Callable[[], list[Silenced]]
 
 
 def _new(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
@@ -339,20 +346,20 @@ def _values_plan(
     unit: float,
     bake: BakeSettings,
 ) -> _Plan:
-    members = members_of(obj)
-    for shape_keys in filter(None, (member.obj.data.shape_keys for member in members)):
-        check_curves(shape_keys, [value_path(name) for name in keys.names if name in shape_keys.key_blocks])
-    clean = bake.clean * unit
-    return _Plan(
-        len(values), error, lambda: bake_values(members, values, frames, keys.offsets, clean=clean, nla=bake.nla)
-    )
+    how = {"clean": bake.clean * unit, "nla": bake.nla, "keep": bake.keep_animation}
+    return _Plan(len(values), error, lambda: bake_values(members_of(obj), values, frames, keys.offsets, **how))
 
 
 def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
     if bake.path is None:
         raise OutputError("The cache has no file name. Give it a path.")
     path = bake.path.with_suffix(SUFFIX)
-    return _Plan(0, 0.0, lambda: bake_cache(members_of(obj), motion, frames, path))
+
+    def write() -> list[Silenced]:
+        bake_cache(members_of(obj), motion, frames, path)
+        return []
+
+    return _Plan(0, 0.0, write)
 
 
 _PLANS = {"new": _new, "named": _named, "cache": _cache, "alembic": _cache}

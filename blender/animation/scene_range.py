@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.settings import CURRENT_FRAME, SCENE_START
-from ..actions import others_playing
+from ..muting import others_playing
 from ..names import RANGE_PROPERTY
 
 _DEFAULT_RANGE = (1, 250)

@@ -20,7 +20,7 @@ from ...core.drive.eyes import eye_strength
 from ...core.drive.posing import limit_rotation
 from ...core.errors import HeadError
 from ...core.landmarks import EYE_CORNERS
-from ..actions import Curve, animated_paths, mute_paths
+from ..actions import Curve
 from ..characters import (
     objects_of,
     own_rotation,
@@ -63,8 +63,6 @@ class PoseTarget:
     pivot : (float, float, float), optional
         Point about which an object turns, in the axes of the head; its own origin by default. A bone turns about its
         head.
-    still : bool
-        Whether it keeps its own animation and does not follow the pose.
     strength : float
         Factor of the angles of rotations.
     """
@@ -73,7 +71,6 @@ class PoseTarget:
     bone: str = ""
     head: bpy.types.Object | None = None
     pivot: tuple[float, float, float] | None = None
-    still: bool = False
     strength: float = 1.0
 
     @classmethod
@@ -135,9 +132,8 @@ class PoseTarget:
 
     def begin(self) -> None:
         """Prepare for being posed: what an earlier session left ends, and the user's own pose is remembered."""
-        if not self.still:
-            release_own(self.owner)
-            hold_own(self.owner)
+        release_own(self.owner)
+        hold_own(self.owner)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
         """Set the pose.
@@ -149,8 +145,6 @@ class PoseTarget:
         translation : (3,) array or None
             Head frame, the unit of the head; None leaves the location unchanged.
         """
-        if self.still:
-            return
         owner = self.owner
         hold_own(owner)
         if not self.bone and own_mode(owner) == "AXIS_ANGLE":  # its animation goes on in channels that are not shown
@@ -159,11 +153,6 @@ class PoseTarget:
             write_rotation(owner, Matrix(self._added(self.turned(rotation)).tolist()))
         if (location := self._location(rotation, translation)) is not None:
             setattr(owner, f"{prefix_of(owner)}location", location.tolist())
-
-    @property
-    def data_paths(self) -> list[str]:
-        """Data paths of all channels that a bake may animate."""
-        return [] if self.still else self.channels
 
     @property
     def channels(self) -> list[str]:
@@ -175,15 +164,6 @@ class PoseTarget:
             *(["rotation_axis_angle"] if self.bone else []),
         ]
         return [f"{path_of(self.owner)}{channel}" for channel in channels]
-
-    @property
-    def is_animated(self) -> bool:
-        """Whether it has animation that Facemime did not make."""
-        return bool(animated_paths(self.obj, self.channels))
-
-    def mute(self) -> None:
-        """Mute the animation that it has, so that it takes the pose."""
-        mute_paths(self.obj, self.channels)
 
     def curves(
         self,
@@ -206,7 +186,7 @@ class PoseTarget:
         placed : (N, 3, 3) array, optional
             As for `turned`.
         """
-        if self.still or (rotations is None and translations is None):
+        if rotations is None and translations is None:
             return []
         hold_own(self.owner)
         curves = []
@@ -236,13 +216,11 @@ class PoseTarget:
 
     def rest(self) -> None:
         """Give back the user's own pose."""
-        if not self.still:
-            release_own(self.owner)
+        release_own(self.owner)
 
     def keep(self) -> None:
         """Leave the pose as `apply` set it."""
-        if not self.still:
-            keep_pose(self.owner)
+        keep_pose(self.owner)
 
     def _location(
         self, rotation: FloatArray | None, translation: FloatArray | None, placed: FloatArray | None = None
@@ -318,17 +296,17 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
     Returns
     -------
     dict
-        "head", and "eye_left" and "eye_right" if bones rotate the eyes. Bones with other animation stay still.
+        "head", and "eye_left" and "eye_right" if bones rotate the eyes.
     """
     armature, bones = read_bones(head)
     if armature is None or not bones.head:
         pivot = head.get(PIVOT_PROPERTY)
         targets = {"head": PoseTarget(head, head=head, pivot=None if pivot is None else tuple(pivot))}
     else:
-        targets = {"head": _bone_target(armature, bones.head, head)}
+        targets = {"head": PoseTarget(armature, bones.head, head)}
     for eye, corners in (("eye_left", EYE_CORNERS[2:]), ("eye_right", EYE_CORNERS[:2])):
         if armature is not None and (bone := getattr(bones, eye)):
-            target = _bone_target(armature, bone, head)
+            target = PoseTarget(armature, bone, head)
             targets[eye] = replace(target, strength=_eye_strength(head, target, corners))
     return targets
 
@@ -339,12 +317,6 @@ def _eye_strength(head: bpy.types.Object, target: PoseTarget, corners: IntArray)
     places = to_blender(read_vertices(head.data)[read_places(head)[corners]])
     pivot = rest_matrix(target.obj) @ target.obj.data.bones[target.bone].head_local
     return eye_strength(np.array(pivot), np.array([to_world @ Vector(place) for place in places.tolist()]))
-
-
-def _bone_target(armature: bpy.types.Object, bone: str, head: bpy.types.Object) -> PoseTarget:
-    """Return the target for a bone, which stays still if it has animation that Facemime did not make."""
-    target = PoseTarget(armature, bone, head)
-    return replace(target, still=target.is_animated)
 
 
 def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:

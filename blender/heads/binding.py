@@ -19,7 +19,6 @@ from ...core.heads.eye_outline import EYES
 from ...core.heads.parts import Part, Skin
 from ...core.heads.proposal import propose_regions
 from ...core.landmarks import from_ibug
-from ..actions import animated_paths
 from ..characters import part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
@@ -35,6 +34,7 @@ from ..meshes import (
     write_landmarks,
     write_regions,
 )
+from ..muting import animated_paths
 from ..names import (
     COUNT_PROPERTY,
     KEYS_PROPERTY,

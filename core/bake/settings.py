@@ -32,6 +32,8 @@ class BakeSettings:
         Error of the vertices allowed when removing keyframes, in eye distances; 0 keeps all keyframes.
     nla : bool
         Whether the curves go onto an NLA track instead of the active action.
+    keep_animation : bool
+        Whether the take is added to animation of the same shape keys and bones, instead of muting that.
     start : {"first", "current", "scene"}
         Frame of the scene at 0 s of the take: frame 1, the current frame, or the first of the scene's frame range.
     fit_range : bool
@@ -82,6 +84,11 @@ class BakeSettings:
         unit="percent",
     )
     nla: bool = setting(False, "Push to NLA", "Put the animation on an NLA track instead of the active action")
+    keep_animation: bool = setting(
+        False,
+        "Keep Animation",
+        "Add the take to other animation of the same shape keys and bones, instead of muting it",
+    )
     start: Start = setting(
         FIRST_FRAME,
         "Start",

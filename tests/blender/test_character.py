@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from characters import TRUTH, make_character, shown, turn_between
 from clips import write_clips
-from mathutils import Matrix, Vector
+from curves import curves_of
+from mathutils import Matrix, Quaternion, Vector
 from thorough import first_of
 
 from commands import run
-from facemime.blender.actions import curves_of
 from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
@@ -193,22 +193,6 @@ def test_the_bones_can_be_chosen_and_cleared():
     assert own_targets(head)["head"].obj == head
 
 
-@pytest.mark.thorough
-def test_a_bone_with_animation_keeps_it_and_is_reported():
-    objects = make_character(rig=True)
-    head, _ = bind_character(objects["head"])
-    armature, _ = read_bones(head)
-    bone = armature.pose.bones["Head"]
-    bone.rotation_quaternion = (0.9, 0.1, 0.0, 0.0)
-    bone.keyframe_insert("rotation_quaternion", frame=1)
-    report = puppet_head(bpy.context.scene, head, performance())
-    assert report.kept == ("Head",) and any("Head" in warning for warning in report.warnings)
-    bpy.context.scene.frame_set(40)
-    np.testing.assert_allclose(bone.rotation_quaternion, (0.9, 0.1, 0.0, 0.0), atol=1e-6)
-    armature.animation_data_clear()
-    assert puppet_head(bpy.context.scene, head, performance()).kept == ()
-
-
 def _bound_with_own_animation(*, driven: bool) -> tuple[bpy.types.Object, bpy.types.Object]:
     """A character whose head bone turns by itself, by keyframes or a driver; the head and its armature."""
     objects = make_character(rig=True)
@@ -233,12 +217,11 @@ def _turn_at(armature: bpy.types.Object, frame: int) -> np.ndarray:
 @pytest.mark.thorough
 @pytest.mark.parametrize("driven", [False, True])
 @pytest.mark.parametrize("nla", [False, True])
-def test_a_bone_whose_animation_is_muted_follows_the_performer_in_a_bake(driven, nla):
+def test_a_bone_with_animation_follows_the_performer_in_a_bake_which_says_what_was_muted(driven, nla):
     head, armature = _bound_with_own_animation(driven=driven)
-    assert bpy.ops.facemime.mute_bone(target="head") == {"FINISHED"}
     settings = PuppetSettings(bake=BakeSettings(nla=nla))
     report = puppet_head(bpy.context.scene, head, performance(), settings)
-    assert report.kept == ()
+    assert any("(Head)" in warning for warning in report.warnings)
     frames = frames_of(bpy.context.scene, report.motion.times)
     for row in (0, 17, 29):
         turned = Matrix(own_targets(head)["head"].turned(report.motion.rotation[row]).tolist())
@@ -247,17 +230,33 @@ def test_a_bone_whose_animation_is_muted_follows_the_performer_in_a_bake(driven,
 
 
 @pytest.mark.thorough
-def test_muting_a_bone_keeps_its_keyframes_through_two_bakes():
+def test_the_animation_of_a_bone_plays_again_when_a_bake_is_removed():
     head, armature = _bound_with_own_animation(driven=False)
-    bpy.ops.facemime.mute_bone(target="head")
     for _ in range(2):
         puppet_head(bpy.context.scene, head, performance())
     remove_baked(head, own_targets(head))
     assert not armature.animation_data.nla_tracks
-    for curve in curves_of(armature):
-        assert curve.mute
-        curve.mute = False
     np.testing.assert_allclose(_turn_at(armature, 40)[:2], (0.9, 0.3), atol=1e-6)
+
+
+@pytest.mark.parametrize("strip", [False, True])
+def test_a_take_is_added_to_the_animation_of_a_bone_on_request(strip):
+    head, armature = _bound_with_own_animation(driven=False)
+    if strip:
+        data = armature.animation_data
+        data.nla_tracks.new().strips.new("Walk", 1, data.action)
+        data.action = None
+    own = {frame: Quaternion(_turn_at(armature, frame)).normalized() for frame in (1, 20, 40)}
+    settings = PuppetSettings(bake=BakeSettings(keep_animation=True))
+    for _ in range(2):
+        report = puppet_head(bpy.context.scene, head, performance(), settings)
+    frames = frames_of(bpy.context.scene, report.motion.times)
+    for frame, before in own.items():
+        row = int(np.abs(frames - frame).argmin())
+        turned = Matrix(own_targets(head)["head"].turned(report.motion.rotation[row]).tolist()).to_quaternion()
+        assert abs(Quaternion(_turn_at(armature, frame)).normalized().dot(before @ turned)) > 1.0 - 2e-3
+    remove_baked(head, own_targets(head))
+    assert abs(Quaternion(_turn_at(armature, 20)).normalized().dot(own[20])) == pytest.approx(1.0, abs=1e-5)
 
 
 @pytest.mark.thorough

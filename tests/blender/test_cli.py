@@ -208,10 +208,10 @@ def test_a_full_disk_does_not_lose_the_tracking(clip, tmp_path):
 
 @pytest.mark.thorough
 def test_a_head_that_cannot_be_baked_to_is_reported_before_tracking(clip, tmp_path):
-    add_head(bpy.context).driver_add("delta_rotation_euler", 0)
+    add_head(bpy.context, units=True).data.shape_keys.use_relative = False
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "own.blend"))
     done = run("puppet", clip, "-o", tmp_path / "out.blend", "--head", tmp_path / "own.blend")
-    assert done.returncode == 1 and "already has animation" in done.stderr and "Tracking" not in done.stderr
+    assert done.returncode == 1 and "are absolute" in done.stderr and "Tracking" not in done.stderr
 
 
 @pytest.mark.thorough

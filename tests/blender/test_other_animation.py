@@ -1,44 +1,188 @@
-"""Animation of shape keys that plays together with a bake is reported, and muted on request."""
+"""A head that is animated already is driven: what moves the same is muted and named, or the take is added to it."""
 
 from __future__ import annotations
 
 import bpy
+import numpy as np
 import pytest
+from curves import curves_of
 
-from facemime.blender.actions import curves_of
+from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.animation.targets import own_targets
 from facemime.blender.animation.underneath import mute_under, playing_under
+from facemime.blender.characters import members_of
 from facemime.blender.heads.built_in import add_head
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.puppet.settings import PuppetSettings
 from takes import performance
+
+FRAMES = (1, 20, 40)
+
+
+def bake(head, keys="mapped", **settings):
+    wanted = PuppetSettings(bake=BakeSettings(keys=keys, **settings))
+    return puppet_head(bpy.context.scene, head, performance(), wanted)
+
+
+def values_of(head):
+    """Values of all keys in some frames, (F, K)."""
+    rows = []
+    for frame in FRAMES:
+        bpy.context.scene.frame_set(frame)
+        rows.append([key.value for key in head.data.shape_keys.key_blocks])
+    return np.array(rows)
+
+
+def animate(head, name="jawOpen", action="Idle"):
+    """Animate a key from 0.1 to 0.3."""
+    key = head.data.shape_keys.key_blocks[name]
+    for frame, value in ((1, 0.1), (40, 0.3)):
+        key.value = value
+        key.keyframe_insert("value", frame=frame)
+    head.data.shape_keys.animation_data.action.name = action
+
+
+def _curves(head):
+    animate(head)
+
+
+def _strip(head):
+    animate(head)
+    data = head.data.shape_keys.animation_data
+    data.nla_tracks.new().strips.new("Idle", 1, data.action)
+    data.action, data.nla_tracks[0].name = None, "Idle"
+
+
+def _added_action(head):
+    animate(head)
+    head.data.shape_keys.animation_data.action_blend_type = "ADD"
+
+
+def _driver(head):
+    empty = bpy.data.objects.new("Slider", None)
+    bpy.context.scene.collection.objects.link(empty)
+    empty.location.x = 0.2
+    driver = head.data.shape_keys.key_blocks["jawOpen"].driver_add("value").driver
+    variable = driver.variables.new()
+    variable.targets[0].id, variable.targets[0].data_path = empty, "location.x"
+    driver.type = "AVERAGE"
+
+
+@pytest.fixture
+def plain():
+    """Values of a bake to a head without other animation."""
+    head = add_head(bpy.context, units=True, name="Plain")
+    bake(head)
+    return values_of(head)
+
+
+@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("moved", [_curves, _strip, _added_action, _driver])
+def test_a_bake_mutes_what_moves_its_keys_and_its_removal_lets_it_play_again(moved, nla, plain):
+    head = add_head(bpy.context, units=True)
+    moved(head)
+    before = values_of(head)
+    for _ in range(2):
+        report = bake(head, nla=nla)
+        np.testing.assert_allclose(values_of(head), plain, atol=1e-6)
+        if moved != _strip or nla:
+            assert any("Muted" in warning for warning in report.warnings) or moved == _strip
+    remove_baked(head, own_targets(head))
+    np.testing.assert_allclose(values_of(head), before, atol=1e-6)
+
+
+@pytest.mark.parametrize("moved", [_curves, _strip])
+def test_a_take_is_added_to_the_animation_of_keys_on_request(moved, plain):
+    head = add_head(bpy.context, units=True)
+    moved(head)
+    before = values_of(head)
+    for _ in range(2):
+        report = bake(head, keep_animation=True)
+        np.testing.assert_allclose(values_of(head), np.minimum(plain + before, 1.0), atol=1e-5)
+        assert not any("Muted" in warning for warning in report.warnings)
+    remove_baked(head, own_targets(head))
+    np.testing.assert_allclose(values_of(head), before, atol=1e-6)
+
+
+def test_a_driver_that_is_to_be_kept_moves_its_key_alone(plain):
+    head = add_head(bpy.context, units=True)
+    _driver(head)
+    bake(head, keep_animation=True)
+    place = head.data.shape_keys.key_blocks.find("jawOpen")
+    wanted = plain.copy()
+    wanted[:, place] = 0.2
+    np.testing.assert_allclose(values_of(head), wanted, atol=1e-6)
+
+
+@pytest.mark.parametrize("source", ["key", "mesh", "object"])
+@pytest.mark.parametrize("keys", ["mapped", "named"])
+def test_keys_of_parts_that_follow_those_of_the_head_stay_with_their_drivers(source, keys):
+    head = add_head(bpy.context, units=True)
+    lashes = members_of(head)[1].obj
+    block, prefix = {
+        "key": (head.data.shape_keys, ""),
+        "mesh": (head.data, "shape_keys."),
+        "object": (head, "data.shape_keys."),
+    }[source]
+    for key in lashes.data.shape_keys.key_blocks[1:]:
+        driver = key.driver_add("value").driver
+        driver.type = "AVERAGE"
+        target = driver.variables.new().targets[0]
+        target.id_type = block.id_type
+        target.id, target.data_path = block, f'{prefix}key_blocks["{key.name}"].value'
+    report = bake(head, keys)
+    assert not any("Muted" in warning for warning in report.warnings)
+    drivers = lashes.data.shape_keys.animation_data.drivers
+    assert len(drivers) == 52 and not any(driver.mute for driver in drivers)
+    assert lashes.data.shape_keys.animation_data.action is None
+    np.testing.assert_allclose(values_of(lashes)[:, 1:], values_of(head)[:, 1:], atol=1e-5)
+
+
+def test_a_corrective_that_follows_other_keys_is_not_fitted():
+    head = add_head(bpy.context, units=True)
+    corrective = head.shape_key_add(name="corrective", from_mix=False)
+    corrective.data[0].co.x += 0.01
+    corrective.value = 0.0
+    driver = corrective.driver_add("value").driver
+    driver.type = "AVERAGE"
+    target = driver.variables.new().targets[0]
+    target.id_type, target.id = "KEY", head.data.shape_keys
+    target.data_path = 'key_blocks["jawOpen"].value'
+    bake(head, "named")
+    values = dict(zip(head.data.shape_keys.key_blocks.keys(), values_of(head).T, strict=True))
+    np.testing.assert_allclose(values["corrective"], values["jawOpen"], atol=1e-6)
 
 
 @pytest.fixture
 def head():
-    """A head with an idle animation of one of its own keys."""
-    head = add_head(bpy.context)
-    head.shape_key_add(name="Basis")
-    key = head.shape_key_add(name="idle")
-    for frame, value in ((1, 0.0), (10, 1.0)):
-        key.value = value
-        key.keyframe_insert("value", frame=frame)
-    head.data.shape_keys.animation_data.action.name = "Idle"
+    """A head with an idle animation of a key of its own that opens the mouth, and one that moves only the neck."""
+    head = add_head(bpy.context, units=True)
+    animate(head)
+    neck = head.shape_key_add(name="neck", from_mix=False)
+    rest = np.array([vertex.co for vertex in head.data.vertices])
+    neck.data[int(rest[:, 2].argmin())].co.z -= 0.01
+    neck.value = 0.0
+    for frame, value in ((1, 0.0), (40, 1.0)):
+        neck.value = value
+        neck.keyframe_insert("value", frame=frame)
     return head
 
 
-def value_at(head: bpy.types.Object, frame: int) -> float:
-    bpy.context.scene.frame_set(frame)
-    return head.data.shape_keys.key_blocks["idle"].value
-
-
-def test_an_action_under_a_bake_is_reported_and_muted_while_the_bake_plays(head):
-    report = puppet_head(bpy.context.scene, head, performance())
-    assert report.others == ("Idle",) and any("Idle" in warning for warning in report.warnings)
-    assert mute_under(head) == 1 and playing_under(head) == []
-    before = value_at(head, 2)
-    assert value_at(head, 8) == before, "the idle key stands still"
+def test_an_action_under_new_keys_is_muted_where_it_moves_the_same_vertices(head):
+    report = bake(head, "new")
+    assert any("Idle (jawOpen)" in warning for warning in report.warnings)
     curves = {curve.data_path: curve for curve in curves_of(head.data.shape_keys)}
-    assert curves['key_blocks["idle"].value'].mute
-    assert len(curves) > 1 and not any(curve.mute for path, curve in curves.items() if "idle" not in path)
+    assert curves['key_blocks["jawOpen"].value'].mute and not curves['key_blocks["neck"].value'].mute
+    assert not any(curve.mute for path, curve in curves.items() if "jawOpen" not in path)
+
+
+def test_an_action_under_a_bake_that_is_kept_is_reported_and_muted_on_request(head):
+    report = bake(head, "new", keep_animation=True)
+    assert report.others == ("Idle",) and any("Idle" in warning for warning in report.warnings)
+    assert mute_under(head) == 2 and playing_under(head) == []
+    before = values_of(head)[:, head.data.shape_keys.key_blocks.find("jawOpen")]
+    assert np.ptp(before) < 1e-6
 
 
 def test_the_users_strip_is_muted_and_that_of_a_bake_is_not(head):
@@ -46,10 +190,7 @@ def test_the_users_strip_is_muted_and_that_of_a_bake_is_not(head):
     data.nla_tracks.new().strips.new("Idle", 1, data.action)
     data.action = None
     data.nla_tracks[0].name = "Imported"
-    from facemime.core.bake.settings import BakeSettings
-    from facemime.core.puppet.settings import PuppetSettings
-
-    puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(nla=True)))
+    bake(head, "new", nla=True, keep_animation=True)
     assert playing_under(head) == ["Imported"]
     bpy.context.view_layer.objects.active = head
     assert bpy.ops.facemime.mute_others() == {"FINISHED"}
@@ -59,4 +200,4 @@ def test_the_users_strip_is_muted_and_that_of_a_bake_is_not(head):
 def test_without_other_animation_nothing_is_reported():
     head = add_head(bpy.context)
     report = puppet_head(bpy.context.scene, head, performance())
-    assert report.others == () and mute_under(head) == 0
+    assert report.others == () and not report.notes and mute_under(head) == 0

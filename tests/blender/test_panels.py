@@ -171,7 +171,7 @@ def test_damaged_control_points_are_reported_and_can_be_reset():
     assert "not a control point file" in drawn and "facemime.use_all_landmarks" in drawn
 
 
-def test_the_check_lists_the_parts_and_bones_and_offers_to_mute_a_bone_that_moves_by_itself():
+def test_the_check_lists_the_parts_and_bones():
     objects = make_character(rig=True)
     bpy.context.view_layer.objects.active = objects["head"]
     bpy.ops.facemime.bind_landmarks()
@@ -179,11 +179,6 @@ def test_the_check_lists_the_parts_and_bones_and_offers_to_mute_a_bone_that_move
     drawn = draw(FACEMIME_PT_check)
     for text in ("Ready", "facemime.set_part", *(objects[name].name for name in TRUTH), "facemime.set_bone", "Head"):
         assert text in drawn
-    assert "facemime.mute_bone" not in drawn
-    objects["head"].parent.pose.bones["Head"].keyframe_insert("rotation_quaternion", frame=1)
-    assert "facemime.mute_bone" in draw(FACEMIME_PT_check)
-    bpy.ops.facemime.mute_bone(target="head")
-    assert "facemime.mute_bone" not in draw(FACEMIME_PT_check)
 
 
 def test_the_check_of_a_head_without_bones_reports_how_it_turns():
@@ -257,7 +252,7 @@ def test_a_selected_part_stands_for_its_head():
 # Of lists, dialogs and sessions: they have no meaning without the row or the session that they belong to.
 _ELSEWHERE = frozenset(
     ("add_key_row", "remove_key_row", "mark_point", "set_part", "add_part", "remove_part", "set_bone", "choose_camera")
-    + ("accept_points", "discard_points", "mute_bone")
+    + ("accept_points", "discard_points")
 )
 
 

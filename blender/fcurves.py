@@ -1,0 +1,80 @@
+"""Curves of an action, in every Blender from 4.2 (legacy actions) to 5.x (slots), and which of them Facemime made."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import bpy
+
+_OWNED = "facemime_curves"
+"""Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
+Holder = bpy.types.AnimData | bpy.types.NlaStrip
+"""What plays an action: the animation of a data-block, or a strip."""
+
+
+def slot_handle(holder: Holder) -> int:
+    """Return the handle of the slot that a holder plays; 0 if there is none, or actions have no slots."""
+    slot = getattr(holder, "action_slot", None)
+    return 0 if slot is None else int(slot.handle)
+
+
+def curves_in(holder: Holder | None) -> Any:
+    """Return the curves that a holder plays, or an empty collection; nothing is created."""
+    action = None if holder is None else holder.action
+    if action is None:
+        return ()
+    if not hasattr(action, "slots"):
+        return action.fcurves
+    if holder.action_slot is None or not action.layers or not action.layers[0].strips:
+        return ()
+    bag = action.layers[0].strips[0].channelbag(holder.action_slot)
+    return () if bag is None else bag.fcurves
+
+
+def curves_to_fill(owner: bpy.types.ID, holder: Holder) -> Any:
+    """Return the curves of a holder of `owner`, which has an action; a slot is added if actions have slots."""
+    action = holder.action
+    if not hasattr(action, "slots"):
+        return action.fcurves
+    if holder.action_slot is None:
+        holder.action_slot = action.slots.new(id_type=owner.id_type, name=owner.name)
+    layer = action.layers[0] if action.layers else action.layers.new("Facemime")
+    strip = layer.strips[0] if layer.strips else layer.strips.new(type="KEYFRAME")
+    return strip.channelbag(holder.action_slot, ensure=True).fcurves
+
+
+def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
+    """Return a curve of the slot with a handle; an action without slots has a single set of curves."""
+    if not hasattr(action, "slots"):
+        return action.fcurves.find(path, index=index)
+    bags = (bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags)
+    found = (bag.fcurves.find(path, index=index) for bag in bags if bag.slot_handle == handle)
+    return next((curve for curve in found if curve is not None), None)
+
+
+def owned_paths(holder: Holder | None) -> set[str]:
+    """Return the data paths of the curves of a holder that Facemime made."""
+    action = None if holder is None else holder.action
+    if action is None:
+        return set()
+    lines = "\n".join(str(action.get(name, "")) for name in _names(holder))
+    return set(filter(None, lines.split("\n")))
+
+
+def own_paths(holder: Holder, paths: Iterable[str]) -> None:
+    """Note that Facemime made the curves of these data paths."""
+    holder.action[_names(holder)[-1]] = "\n".join(sorted(owned_paths(holder).union(paths)))
+
+
+def disown_paths(holder: Holder) -> None:
+    """Note that Facemime made no curve of a holder."""
+    for name in _names(holder):
+        if name in holder.action:
+            holder.action[name] = ""
+
+
+def _names(holder: Holder) -> list[str]:
+    """Return the properties with the paths: that of files without slots, and that of the slot."""
+    handle = slot_handle(holder)
+    return [_OWNED, *([f"{_OWNED}.{handle}"] if handle else [])]

@@ -1,0 +1,204 @@
+"""Animation that a bake does not play together with: which there is, and how it is muted."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable
+from typing import NamedTuple
+
+import bpy
+
+from .fcurves import curves_in, owned_paths
+from .tracks import is_baked, tracked_strips
+
+_KEYS = 'key_blocks["Facemime '
+"""Prefix of the data paths of Facemime's shape keys."""
+_MUTED = "facemime_muted"
+"""Custom property of a data-block: what bakes muted of its animation, a kind and a data path or a name on each line."""
+_CURVE, _DRIVER, _TRACK = "curve", "driver", "track"
+_SHOWN = 3
+"""Channels of an action that are named in a message."""
+
+
+def animated_paths(owner: bpy.types.ID, paths: Iterable[str]) -> list[str]:
+    """Return those of the data paths that have animation or a driver that Facemime did not make and that is not muted.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    paths : iterable of str
+    """
+    taken = driven_paths(owner) | keyed_paths(owner)
+    return [path for path in paths if path in taken and not path.startswith(_KEYS)]
+
+
+def driven_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths of the drivers of `owner` that are not muted."""
+    data = owner.animation_data
+    return set() if data is None else {driver.data_path for driver in data.drivers if not driver.mute}
+
+
+def keyed_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths that curves of the action and the NLA strips of `owner` move, without those of bakes."""
+    data = owner.animation_data
+    if data is None:
+        return set()
+    return {path for holder in (data, *strips_of(owner)) for path in _moved_paths(holder)}
+
+
+def curve_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths of all curves, strips and drivers of `owner` but those of bakes, even of muted ones."""
+    data = owner.animation_data
+    if data is None:
+        return set()
+    strips = (strip for track in data.nla_tracks for strip in track.strips)
+    keyed = (curve.data_path for holder in (data, *strips) for curve in curves_in(holder))
+    owned = set().union(*(owned_paths(holder) for holder in (data, *tracked_strips(owner))))
+    return set(keyed) - owned | {driver.data_path for driver in data.drivers}
+
+
+def strips_of(owner: bpy.types.ID) -> list[bpy.types.NlaStrip]:
+    """Return the NLA strips that play and that no bake wrote."""
+    data = owner.animation_data
+    if data is None or not data.use_nla:
+        return []
+    tracks = [track for track in data.nla_tracks if not track.mute]
+    return [strip for track in tracks for strip in track.strips if not strip.mute and not is_baked(strip)]
+
+
+def muted_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths of muted curves in the active action that Facemime did not make."""
+    data = owner.animation_data
+    return {curve.data_path for curve in curves_in(data) if curve.mute} - owned_paths(data)
+
+
+class Silenced(NamedTuple):
+    """A channel that was muted: what had moved it, and the name of what it moved; "" for all of it."""
+
+    name: str
+    moved: str
+
+
+def name_them(silenced: Iterable[Silenced]) -> str:
+    """Return what was muted as a text, with a few of the channels of each action."""
+    groups: dict[str, dict[str, None]] = {}
+    for name, moved in silenced:
+        groups.setdefault(name, {}).update({moved: None} if moved else {})
+    texts = []
+    for name, moved in groups.items():
+        shown = [*moved][:_SHOWN] + (["..."] if len(moved) > _SHOWN else [])
+        texts.append(f"{name} ({', '.join(shown)})" if shown else name)
+    return ", ".join(texts)
+
+
+def mute_paths(
+    owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True, drivers: bool = True
+) -> list[Silenced]:
+    """Mute the curves and drivers of some data paths for a bake, and return what was muted.
+
+    Strips below are not muted, as the bake replaces what they move.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    paths : collection of str
+    curves, drivers : bool
+        Whether these are muted.
+    """
+    data, muted = owner.animation_data, []
+    if data is None:
+        return []
+    owned = owned_paths(data)
+    for curve in curves_in(data) if curves else ():
+        if curve.data_path in paths and not curve.mute and curve.data_path not in owned:
+            muted.append((_CURVE, curve.data_path, data.action.name))
+            curve.mute = True
+    for driver in data.drivers if drivers else ():
+        if driver.data_path in paths and not driver.mute:
+            muted.append((_DRIVER, driver.data_path, owner.name))
+            driver.mute = True
+    return _noted(owner, muted)
+
+
+def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> list[Silenced]:
+    """Mute curves and tracks that a bake does not replace, until the next bake if `paths` are given.
+
+    Return what was muted.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    paths : collection of str, optional
+        Data paths that are moved; all by default.
+    """
+    data, muted = owner.animation_data, []
+    if data is None:
+        return []
+    chosen = [path for path in sorted(_moved_paths(data)) if paths is None or path in paths]
+    muted += [(_CURVE, path, data.action.name) for path in chosen]
+    for curve in curves_in(data):
+        if curve.data_path in chosen:
+            curve.mute = True
+    for track in _other_tracks(owner):
+        moved = set().union(*(_moved_paths(strip) for strip in track.strips))
+        if not track.mute and (paths is None or moved.intersection(paths)):
+            muted.append((_TRACK, track.name, track.name))
+            track.mute = True
+    return _noted(owner, muted) if paths is not None else _silenced(muted)
+
+
+def unmute_noted(owner: bpy.types.ID) -> None:
+    """Unmute what bakes muted of the animation of `owner`."""
+    data, noted = owner.animation_data, str(owner.get(_MUTED, ""))
+    if data is None or not noted:
+        return
+    lines = [line.partition(" ")[::2] for line in noted.split("\n")]
+    for curve in curves_in(data):
+        if (_CURVE, curve.data_path) in lines:
+            curve.mute = False
+    for driver in data.drivers:
+        if (_DRIVER, driver.data_path) in lines:
+            driver.mute = False
+    for track in data.nla_tracks:
+        if (_TRACK, track.name) in lines:
+            track.mute = False
+    del owner[_MUTED]
+
+
+def _noted(owner: bpy.types.ID, muted: list[tuple[str, str, str]]) -> list[Silenced]:
+    """Note what was muted, so that the next bake finds it again, and return it."""
+    if muted:
+        lines = [*filter(None, str(owner.get(_MUTED, "")).split("\n")), *(f"{kind} {path}" for kind, path, _ in muted)]
+        owner[_MUTED] = "\n".join(dict.fromkeys(lines))
+    return _silenced(muted)
+
+
+def _silenced(muted: list[tuple[str, str, str]]) -> list[Silenced]:
+    found = (Silenced(name, "" if kind == _TRACK else _label(path)) for kind, path, name in muted)
+    return list(dict.fromkeys(found))
+
+
+def _label(path: str) -> str:
+    """Return the bone or the shape key of a data path, or otherwise the path."""
+    named = re.search(r'\["(.*?)"\]', path)
+    return bpy.utils.unescape_identifier(named[1]) if named else path
+
+
+def others_playing(owner: bpy.types.ID) -> list[str]:
+    """Return the names of the action and the NLA tracks that animate `owner` in addition to a bake."""
+    data = owner.animation_data
+    if data is None:
+        return []
+    action = [data.action.name] if _moved_paths(data) else []
+    return action + [track.name for track in _other_tracks(owner) if not track.mute]
+
+
+def _moved_paths(holder: bpy.types.AnimData | bpy.types.NlaStrip) -> set[str]:
+    """Return the data paths of the curves of a holder that play and that Facemime did not make."""
+    return {curve.data_path for curve in curves_in(holder) if not curve.mute} - owned_paths(holder)
+
+
+def _other_tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+    """Return the NLA tracks with a strip that no bake wrote."""
+    tracks = owner.animation_data.nla_tracks
+    return [track for track in tracks if any(not is_baked(strip) for strip in track.strips)]
