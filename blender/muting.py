@@ -46,6 +46,20 @@ def keyed_paths(owner: bpy.types.ID) -> set[str]:
     return {path for holder in (data, *strips_of(owner)) for path in _moved_paths(holder)}
 
 
+def varying_paths(owner: bpy.types.ID) -> set[str]:
+    """Return the data paths that curves of `owner` move to more than one value, of those of `keyed_paths`."""
+    data = owner.animation_data
+    if data is None:
+        return set()
+    curves = [curve for holder in (data, *strips_of(owner)) for curve in curves_in(holder)]
+    return {curve.data_path for curve in curves if _varies(curve)} & keyed_paths(owner)
+
+
+def _varies(curve: bpy.types.FCurve) -> bool:
+    values = [point.co[1] for point in curve.keyframe_points]
+    return len(curve.modifiers) > 0 or max(values, default=0.0) > min(values, default=0.0)
+
+
 def curve_paths(owner: bpy.types.ID) -> set[str]:
     """Return the data paths of all curves, strips and drivers of `owner` but those of bakes, even of muted ones."""
     data = owner.animation_data

@@ -18,7 +18,7 @@ from ...core.files import replacing
 from ..characters import Member
 from ..frames import to_blender
 from ..media.rendering import quiet
-from ..meshes import read_vertices
+from .standing import standing_vertices
 
 MODIFIER = "Facemime Cache"
 _ALEMBIC_BYTES = 24
@@ -65,7 +65,7 @@ def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
 
 def _bake_mesh(member: Member, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
     obj = member.obj
-    rest = to_blender(read_vertices(obj.data))
+    rest = to_blender(standing_vertices(obj))
     first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
 
     def samples() -> Iterator[NDArray[np.floating]]:

@@ -116,7 +116,7 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
     offsets = np.zeros((len(blocks), members[-1].part.stop, 3), dtype=np.float32)
     for row, found in zip(offsets, blocks.values(), strict=True):
         for member, block in found:
-            row[member.part] = member.head_offsets(_offsets(member.obj, block))
+            row[member.part] = member.head_offsets(scaled_offsets(member.obj, block))
     first = [found[0][1] for found in blocks.values()]
     return MeshKeys(
         names=tuple(blocks),
@@ -235,7 +235,7 @@ def remove_baked_keys(obj: bpy.types.Object) -> None:
         obj.shape_key_remove(key)
 
 
-def _offsets(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+def scaled_offsets(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np.float32]:
     """Return (V, 3) displacements by a key at value 1 in Blender's axes, scaled by its vertex group if it has one."""
     offsets = key_offsets(key)
     if key.vertex_group in obj.vertex_groups:

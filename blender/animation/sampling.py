@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.arrays import FloatArray
+from ...core.bake.key_map import known_expressions
 from ...core.errors import HeadError
 from ...core.heads.parts import Part
 from ...core.heads.regions import LOWER
@@ -19,10 +20,11 @@ from ...core.takes.from_animation import FacePoints, PointTracker, describe_anim
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import exists, eye_vertices, read_landmarks, read_regions, read_vertices
+from ..meshes import exists, eye_vertices, key_names, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
 from ..timeline import frame_range, rate_of
 from .animated_keys import AnimatedKeys
+from .standing import standing_vertices
 
 _CONSTRUCTIVE = {
     *("ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "REMESH"),
@@ -142,7 +144,11 @@ class _Face:
     def rest(self) -> FacePoints:
         """Return the positions at rest: those of the objects now, without poses."""
         self._from_scene = HEAD_TO_BLENDER.T @ np.array(rest_matrix(self._head).inverted_safe())[:3]
-        return self._points(lambda obj: (read_vertices(obj.data), np.array(rest_matrix(obj))))
+        return self._points(lambda obj: (self._standing(obj), np.array(rest_matrix(obj))))
+
+    def _standing(self, obj: bpy.types.Object) -> FloatArray:
+        """Return the vertices of an object with the keys of its identity; those of an expression are motion."""
+        return standing_vertices(obj, known_expressions(key_names(obj)))
 
     def current(self) -> FacePoints:
         """Return the positions in the current frame.

@@ -230,8 +230,13 @@ def best_preset(keys: Sequence[str]) -> KeyMap | None:
 
 def expression_keys(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset, or all if none is."""
+    return known_expressions(keys) or list(keys)
+
+
+def known_expressions(keys: Sequence[str]) -> list[str]:
+    """Return those of `keys` that are in any preset."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
-    return [key for key in keys if normalised(key) in known] or list(keys)
+    return [key for key in keys if normalised(key) in known]
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
