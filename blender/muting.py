@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Collection, Iterable
+from contextlib import ExitStack
 from typing import NamedTuple
 
 import bpy
@@ -159,6 +160,22 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
             muted.append((_TRACK, track.name, track.name))
             track.mute = True
     return _noted(owner, muted) if paths is not None else _silenced(muted)
+
+
+def mute_for_now(stack: ExitStack, owner: bpy.types.ID, paths: Collection[str]) -> None:
+    """Mute the curves of the action and the drivers of some data paths until a stack ends.
+
+    Parameters
+    ----------
+    stack : contextlib.ExitStack
+    owner : bpy.types.ID
+    paths : collection of str
+    """
+    data = owner.animation_data
+    playing = () if data is None else (*curves_in(data), *data.drivers)
+    for curve in [curve for curve in playing if curve.data_path in paths and not curve.mute]:
+        curve.mute = True
+        stack.callback(setattr, curve, "mute", False)
 
 
 def unmute_noted(owner: bpy.types.ID) -> None:

@@ -18,6 +18,7 @@ from ...core.files import replacing
 from ..characters import Member
 from ..frames import to_blender
 from ..media.rendering import quiet
+from .exporting import selected_for_export
 from .standing import standing_vertices
 
 MODIFIER = "Facemime Cache"
@@ -129,7 +130,7 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
     needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
     if shutil.disk_usage(path.parent).free < needed:  # Blender crashes when the disk is full
         raise OutputError(f"Cannot write {path}: up to {needed / 1e6:.0f} MB are needed. Free some disk space.")
-    with replacing(path) as temporary, _only_selected(list(objects)):
+    with replacing(path) as temporary, selected_for_export(objects):
         try:
             with quiet():
                 bpy.ops.wm.alembic_export(
@@ -145,18 +146,3 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
             raise OutputError(f"Blender could not write {path} ({error}). Choose another location.") from error
         if temporary.stat().st_size == 0:
             raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another location.")
-
-
-@contextlib.contextmanager
-def _only_selected(objects: list[bpy.types.Object]) -> Iterator[None]:
-    layer = bpy.context.view_layer
-    selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
-    for obj in layer.objects:
-        obj.select_set(obj in objects)
-    layer.objects.active = objects[0]
-    try:
-        yield
-    finally:
-        for obj in layer.objects:
-            obj.select_set(obj in selected)
-        layer.objects.active = active

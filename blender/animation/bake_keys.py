@@ -62,7 +62,7 @@ def moving_key_names(members: Sequence[Member]) -> list[str]:
     for obj in (member.obj for member in members):
         for name in key_names(obj):
             block = obj.data.shape_keys.key_blocks[name]
-            if not np.array_equal(_points(block), _points(block.relative_key)):
+            if not np.array_equal(key_points(block), key_points(block.relative_key)):
                 names[name] = None
     return list(names)
 
@@ -160,7 +160,7 @@ def bake_new_keys(
     for obj, offsets in ((member.obj, member.local_offsets(basis.modes)) for member in members):
         if obj.data.shape_keys is None:
             obj.shape_key_add(name="Basis", from_mix=False)
-        rest = _points(obj.data.shape_keys.reference_key)
+        rest = key_points(obj.data.shape_keys.reference_key)
         for name, mode in zip(names, offsets, strict=True):
             key = obj.shape_key_add(name=name, from_mix=False)
             key.points.foreach_set("co", (rest + mode).reshape(-1))
@@ -245,10 +245,10 @@ def scaled_offsets(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np
 
 def key_offsets(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
     """Return (V, 3) displacements by a key at value 1 in Blender's axes, without its vertex group."""
-    return _points(key) - _points(key.relative_key)
+    return key_points(key) - key_points(key.relative_key)
 
 
-def _points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+def key_points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
     """Return (V, 3) positions of a key in Blender's axes."""
     flat = np.empty(3 * len(key.points), dtype=np.float32)
     key.points.foreach_get("co", flat)

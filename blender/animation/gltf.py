@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from struct import Struct
 
@@ -14,6 +13,7 @@ from ..characters import objects_of
 from ..heads.binding import CACHES
 from ..heads.family import armature_of, family_of
 from ..media.saving import saved_by_blender
+from .exporting import keys_as_shown, selected_for_export
 
 SUFFIX = ".glb"
 _HEADER = Struct("<4sII")
@@ -35,7 +35,7 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
     HeadError
         If the motion of a head is in a cache, which glTF cannot store, or the exporter is disabled.
     OutputError
-        If the file cannot be written.
+        If the file cannot be written, or an object would be missing from it.
     """
     chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
     for obj in chosen:
@@ -43,7 +43,7 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
             raise HeadError(f"The motion of {obj.name} is in a cache, which glTF cannot store. Bake to shape keys.")
     if "gltf" not in dir(bpy.ops.export_scene):
         raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
-    with _selected(chosen), saved_by_blender(path, _is_complete) as temporary:
+    with selected_for_export(chosen), keys_as_shown(chosen), saved_by_blender(path, _is_complete) as temporary:
         bpy.ops.export_scene.gltf(
             filepath=temporary,
             check_existing=False,
@@ -75,22 +75,3 @@ def _is_complete(path: Path) -> bool:
     with path.open("rb") as file:
         header = file.read(_HEADER.size)
     return len(header) == _HEADER.size and _HEADER.unpack(header)[2] == path.stat().st_size
-
-
-@contextmanager
-def _selected(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
-    """Select just these objects, as far as they are in the view layer, and then those that were selected before."""
-    layer = bpy.context.view_layer
-    before = [obj for obj in layer.objects if obj.select_get()]
-    active = layer.objects.active
-
-    def select(wanted: Sequence[bpy.types.Object]) -> None:
-        for obj in layer.objects:
-            obj.select_set(obj in wanted)
-
-    select(objects)
-    try:
-        yield
-    finally:
-        select(before)
-        layer.objects.active = active

@@ -156,7 +156,8 @@ def puppet_head(
     fit_range(scene, whole, bake.start, asked=bake.fit_range)
     if bake.keys == "alembic":
         with holding_take(scene, whole):
-            export_alembic(scene, [obj, *obj.children, *objects_of(obj)], bake.path.with_suffix(".abc"))
+            parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
+            export_alembic(scene, parts, bake.path.with_suffix(".abc"))
     error = plan.error / unit + (bake.clean if plan.keys else 0.0)
     notes = tuple(filter(None, [_what_was_muted(silenced), outside_range(scene, whole)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))

@@ -1,0 +1,140 @@
+"""What exporters leave out, made part of a file for as long as it is written.
+
+Exporters take what is selected, and Blender selects nothing that is hidden, unselectable or in an excluded collection,
+without a word. That of glTF leaves out muted shape keys, and the vertex groups and relative keys of others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ...core.errors import OutputError
+from ..muting import mute_for_now
+from .bake_keys import key_points, scaled_offsets, value_path
+
+
+@contextmanager
+def selected_for_export(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Select some objects and nothing else, whatever hides them; the first is active. All returns to what it was.
+
+    Parameters
+    ----------
+    objects : sequence of bpy.types.Object
+
+    Raises
+    ------
+    OutputError
+        If an object cannot be selected, so that an exporter would leave it out.
+    """
+    layer = bpy.context.view_layer
+    selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
+    with ExitStack() as stack:
+        stack.callback(_select, selected, active)
+        _reveal(stack, objects)
+        _select(objects, objects[0])
+        if missing := [obj.name for obj in objects if not obj.select_get()]:
+            names = ", ".join(missing)
+            raise OutputError(f"These objects cannot be exported: {names}. Show them and make them selectable.")
+        yield
+
+
+def _select(objects: Sequence[bpy.types.Object], active: bpy.types.Object | None) -> None:
+    """Select objects and nothing else."""
+    layer = bpy.context.view_layer
+    layer.update()  # what was hidden or excluded has no effect before
+    for obj in layer.objects:
+        obj.select_set(obj in objects)
+    layer.objects.active = active
+
+
+@contextmanager
+def keys_as_shown(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Give the shape keys of some meshes the points that show what they do, all relative to the Basis.
+
+    A muted key stays among them, with the value 0.
+
+    Parameters
+    ----------
+    objects : sequence of bpy.types.Object
+    """
+    meshes = {obj.data: obj for obj in objects if obj.type == "MESH" and obj.data.shape_keys is not None}
+    with ExitStack() as stack:
+        for obj in meshes.values():
+            keys = obj.data.shape_keys
+            if keys.use_relative and keys.library is None:
+                _show_muted(stack, keys)
+                _write_offsets(stack, obj)
+        yield
+
+
+def _show_muted(stack: ExitStack, keys: bpy.types.Key) -> None:
+    """Unmute keys and hold them at 0, against what animates them."""
+    muted = [key for key in keys.key_blocks if key.mute]
+    mute_for_now(stack, keys, {value_path(key.name) for key in muted})
+    for key in muted:
+        _set(stack, key, "value", 0.0)
+        _set(stack, key, "mute", False)
+
+
+def _write_offsets(stack: ExitStack, obj: bpy.types.Object) -> None:
+    """Put vertex groups and relative keys into the points of keys that have them."""
+    keys = obj.data.shape_keys
+    basis = keys.reference_key
+    limited = [
+        key
+        for key in keys.key_blocks
+        if key != basis and (key.vertex_group in obj.vertex_groups or key.relative_key != basis)
+    ]
+    before = [key_points(key) for key in limited]
+    shown = [key_points(basis) + scaled_offsets(obj, key) for key in limited]
+    for key, old, new in zip(limited, before, shown, strict=True):
+        stack.callback(key.points.foreach_set, "co", np.ascontiguousarray(old).reshape(-1))
+        key.points.foreach_set("co", np.ascontiguousarray(new, dtype=np.float32).reshape(-1))
+        _set(stack, key, "vertex_group", "")
+        _set(stack, key, "relative_key", basis)
+    if limited:
+        stack.callback(obj.data.update_tag)
+        obj.data.update_tag()
+
+
+def _reveal(stack: ExitStack, objects: Sequence[bpy.types.Object]) -> None:
+    """Make objects visible and selectable in the view layer, with the collections that have them."""
+    layer, scene = bpy.context.view_layer, bpy.context.scene
+    wanted = set(objects)
+    for place in _layers_of(layer.layer_collection):
+        if wanted.intersection(place.collection.all_objects):
+            _set(stack, place, "exclude", False)
+            _set(stack, place, "hide_viewport", False)
+            for name in ("hide_viewport", "hide_select"):
+                _set(stack, place.collection, name, False)
+    for obj in objects:
+        if obj.name not in layer.objects:  # of another scene
+            scene.collection.objects.link(obj)
+            stack.callback(scene.collection.objects.unlink, obj)
+        for name in ("hide_viewport", "hide_select"):
+            _set(stack, obj, name, False)
+    layer.update()
+    for obj in objects:
+        if obj.hide_get():
+            obj.hide_set(False)
+            stack.callback(obj.hide_set, True)
+
+
+def _layers_of(place: bpy.types.LayerCollection) -> Iterable[bpy.types.LayerCollection]:
+    """Yield all collections of a view layer, parents first: excluding one excludes those in it."""
+    for child in place.children:
+        yield child
+        yield from _layers_of(child)
+
+
+def _set(stack: ExitStack, owner: Any, name: str, value: Any) -> None:
+    """Set a property until the stack ends."""
+    before = getattr(owner, name)
+    if before != value:
+        stack.callback(setattr, owner, name, before)
+        setattr(owner, name, value)

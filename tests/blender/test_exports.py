@@ -1,0 +1,193 @@
+"""Files for other programs hold everything of a head, whatever hides it in Blender, and its keys as they look."""
+
+import json
+import struct
+
+import bpy
+import numpy as np
+import pytest
+from characters import make_character
+
+from facemime.blender.animation import exporting
+from facemime.blender.animation.exporting import keys_as_shown, selected_for_export
+from facemime.blender.animation.gltf import export_gltf
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.heads.binding import bind_character
+from facemime.blender.heads.built_in import add_head
+from facemime.core.bake.settings import BakeSettings
+from facemime.core.errors import OutputError
+from facemime.core.puppet.settings import PuppetSettings
+from takes import performance
+
+
+def bake(head, keys="new", path=None):
+    puppet_head(bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(keys=keys, path=path)))
+
+
+def in_collection(objects, parent=None):
+    """A collection with these objects and nothing else that has them."""
+    collection = bpy.data.collections.new("Character")
+    (parent or bpy.context.scene.collection).children.link(collection)
+    for obj in objects:
+        for other in obj.users_collection:
+            other.objects.unlink(obj)
+        collection.objects.link(obj)
+    bpy.context.view_layer.update()
+    return collection
+
+
+def layer_of(collection):
+    """The collection in the view layer, at any depth."""
+    places = [bpy.context.view_layer.layer_collection]
+    while places:
+        place = places.pop()
+        if place.collection == collection:
+            return place
+        places += place.children
+    raise AssertionError(collection.name)
+
+
+def _object(name):
+    def hide(objects):
+        for obj in objects:
+            setattr(obj, name, True)
+
+    return hide
+
+
+def _eye(objects):
+    for obj in objects:
+        obj.hide_set(True)
+
+
+def _collection(name):
+    def hide(objects):
+        setattr(in_collection(objects), name, True)
+
+    return hide
+
+
+def _layer(name):
+    def hide(objects):
+        setattr(layer_of(in_collection(objects)), name, True)
+
+    return hide
+
+
+def _excluded_parent(objects):
+    outer = bpy.data.collections.new("Outer")
+    bpy.context.scene.collection.children.link(outer)
+    in_collection(objects, outer)
+    layer_of(outer).exclude = True
+
+
+HIDING = {
+    "object unselectable": _object("hide_select"),
+    "object disabled": _object("hide_viewport"),
+    "object hidden": _eye,
+    "collection unselectable": _collection("hide_select"),
+    "collection disabled": _collection("hide_viewport"),
+    "collection hidden": _layer("hide_viewport"),
+    "collection excluded": _layer("exclude"),
+    "parent excluded": _excluded_parent,
+}
+
+
+def state(objects):
+    """What hides and selects objects, after an update."""
+    bpy.context.view_layer.update()
+    layer = bpy.context.view_layer
+    flags = [(obj.hide_viewport, obj.hide_select, obj.name in layer.objects and obj.hide_get()) for obj in objects]
+    places = [layer.layer_collection]
+    for place in places:
+        places += place.children
+        flags.append((place.exclude, place.hide_viewport, place.collection.hide_viewport, place.collection.hide_select))
+    return flags, [obj.name for obj in layer.objects if obj.select_get()], layer.objects.active
+
+
+def content(path):
+    data = path.read_bytes()
+    return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
+
+
+@pytest.mark.parametrize("hide", HIDING)
+def test_gltf_holds_every_mesh_of_a_character_and_its_armature_however_they_are_hidden(hide, tmp_path):
+    head, _ = bind_character(make_character(rig=True)["head"])
+    bake(head)
+    objects = [obj for obj in bpy.context.scene.objects if obj != head]
+    cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    bpy.context.scene.collection.objects.link(cube)
+    bpy.context.view_layer.objects.active = cube
+    cube.select_set(True)
+    HIDING[hide]([head, *objects])
+    before = state([head, *objects])
+    export_gltf([head], tmp_path / "a.glb")
+    assert state([head, *objects]) == before
+    stated = content(tmp_path / "a.glb")
+    names = {node["name"] for node in stated["nodes"] if "mesh" in node}
+    assert names == {obj.name for obj in [head, *objects] if obj.type == "MESH"} and len(stated["skins"]) >= 1
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("hide", HIDING)
+def test_alembic_holds_the_moving_head_however_it_is_hidden(hide, tmp_path):
+    head = add_head(bpy.context)
+    HIDING[hide]([head, *head.children])
+    bpy.context.view_layer.update()
+    bake(head, "alembic", tmp_path / "a.pc2")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.alembic_import(filepath=str(tmp_path / "a.abc"), as_background_job=False)
+    found = {obj.name: obj for obj in bpy.data.objects if obj.type == "MESH"}
+    assert len(found) == 8
+    shapes = []
+    for frame in (1, 40):
+        bpy.context.scene.frame_set(frame)
+        mesh = found["Facemime_Head"].evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+        shapes.append(np.array([vertex.co for vertex in mesh.vertices]))
+    assert np.abs(shapes[1] - shapes[0]).max() > 1e-3
+
+
+def test_an_object_that_cannot_be_selected_is_named(monkeypatch):
+    head = add_head(bpy.context)
+    monkeypatch.setattr(exporting, "_reveal", lambda *_: None)
+    head.hide_select = True
+    with pytest.raises(OutputError, match=head.name), selected_for_export([head]):
+        pytest.fail("it was exported")
+
+
+def test_keys_are_exported_as_they_look():
+    head = add_head(bpy.context, units=True)
+    keys = head.data.shape_keys.key_blocks
+    group = head.vertex_groups.new(name="Left")
+    group.add([vertex.index for vertex in head.data.vertices if vertex.co.x > 0.0], 0.5, "REPLACE")
+    keys["jawOpen"].vertex_group = "Left"
+    keys["mouthFunnel"].relative_key = keys["jawOpen"]
+    keys["mouthSmileLeft"].mute = True
+    keys["mouthSmileLeft"].value = 0.7
+    keys["mouthSmileLeft"].keyframe_insert("value", frame=1)
+    rest = np.array([point.co for point in keys[0].data])
+
+    def looks():
+        found = {}
+        for name in ("jawOpen", "mouthFunnel", "mouthSmileLeft"):
+            for key in keys:
+                key.value = float(key.name == name)
+            bpy.context.view_layer.update()
+            mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+            found[name] = np.array([vertex.co for vertex in mesh.vertices])
+            keys[name].value = 0.0
+        return found
+
+    wanted = looks()
+    points = [[tuple(point.co) for point in key.data] for key in keys]
+    with keys_as_shown([head]):
+        for name in ("jawOpen", "mouthFunnel"):
+            shown = np.array([point.co for point in keys[name].data])
+            np.testing.assert_allclose(shown, wanted[name], atol=1e-6)
+            assert keys[name].relative_key == keys[0] and not keys[name].vertex_group
+        bpy.context.scene.frame_set(1)
+        assert not keys["mouthSmileLeft"].mute and keys["mouthSmileLeft"].value == 0.0
+    np.testing.assert_allclose(wanted["mouthSmileLeft"], rest, atol=1e-6)
+    assert [[tuple(point.co) for point in key.data] for key in keys] == points
+    assert keys["mouthSmileLeft"].mute and keys["jawOpen"].vertex_group == "Left"
+    assert keys["mouthFunnel"].relative_key == keys["jawOpen"]
