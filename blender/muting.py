@@ -1,4 +1,4 @@
-"""Animation that a bake or a session does not play together with: which there is, and how it is muted."""
+"""Animation that a bake does not play together with: which there is, and how it is muted."""
 
 from __future__ import annotations
 

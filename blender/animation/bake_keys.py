@@ -17,7 +17,7 @@ from ..characters import Member, members_of
 from ..meshes import group_weights, key_names
 from ..muting import Silenced
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
-from .key_drivers import following_paths
+from .key_drivers import family_keys, following_paths
 
 
 @dataclass(frozen=True)
@@ -102,11 +102,12 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
             if not block.mute and name not in muted:
                 require_relative(member.obj)
                 blocks.setdefault(name, []).append((member, block))
-    following = {member.obj: following_paths(members, member.obj) for member in members}
+    family = family_keys(members)
+    following = {keys: following_paths(keys, family) for keys in family}
     blocks = {
         name: found
         for name, found in blocks.items()
-        if any(value_path(name) not in following[member.obj] for member, _ in found)
+        if any(value_path(name) not in following[member.obj.data.shape_keys] for member, _ in found)
     }
     if not blocks:
         raise HeadError(
@@ -207,11 +208,11 @@ def bake_values(
     for (name, curve), peak in zip(values.items(), peaks, strict=True):
         tolerance = clean / (len(peaks) * max(float(peak), 1e-9)) if clean > 0.0 else None
         curves[name] = Curve(value_path(name), 0, curve, tolerance)
-    silenced = []
+    silenced, family = [], family_keys(members)
     for obj in (member.obj for member in members):
         if (keys := obj.data.shape_keys) is not None:
             obj.show_only_shape_key = False
-            following = following_paths(members, obj)
+            following = following_paths(keys, family)
             own = [
                 curve for name, curve in curves.items() if name in keys.key_blocks and curve.data_path not in following
             ]

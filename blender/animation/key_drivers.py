@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import bpy
 
@@ -13,46 +13,53 @@ _KEY_BLOCKS = "key_blocks["
 """What the data path of a shape key contains, from its data-block, its mesh or its object."""
 
 
-def following_paths(members: Sequence[Member], obj: bpy.types.Object) -> set[str]:
+def family_keys(members: Sequence[Member]) -> set[bpy.types.Key]:
+    """Return the data-blocks of the shape keys of a head."""
+    return {keys for member in members if (keys := member.obj.data.shape_keys) is not None}
+
+
+def following_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> set[str]:
     """Return the data paths of shape keys of a mesh whose drivers make them follow keys of a head.
 
     Lashes, brows and teeth often have the keys of the head, driven by these, and correctives depend on other keys.
 
     Parameters
     ----------
-    members : sequence of Member
-        Meshes of the head.
-    obj : bpy.types.Object
-        One of them.
+    keys : bpy.types.Key
+        Of the mesh.
+    family : collection of bpy.types.Key
+        Of all meshes of the head.
     """
-    sources = {
-        block for member in members for block in (member.obj, member.obj.data, member.obj.data.shape_keys) if block
-    }
-    return {driver.data_path for driver in _playing(obj) if _reads_keys(driver, sources)}
+    return {driver.data_path for driver in _playing(keys) if _reads(driver, family)}
 
 
-def moved_paths(members: Sequence[Member], obj: bpy.types.Object) -> set[str]:
-    """Return the data paths of shape keys of a mesh with drivers that follow something animated, such as bones."""
-    following = following_paths(members, obj)
+def moved_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> set[str]:
+    """Return the data paths of shape keys of a mesh with drivers that follow something else that is animated, as bones.
+
+    Parameters are as for `following_paths`.
+    """
     return {
         driver.data_path
-        for driver in _playing(obj)
-        if driver.data_path not in following and any(keyed_paths(source) for source in _sources(driver))
+        for driver in _playing(keys)
+        if not _reads(driver, family) and any(keyed_paths(target.id) for target in _targets(driver) if target.id)
     }
 
 
-def _playing(obj: bpy.types.Object) -> list[bpy.types.FCurve]:
-    keys = obj.data.shape_keys
-    if keys is None or keys.animation_data is None:
-        return []
-    return [driver for driver in keys.animation_data.drivers if not driver.mute]
+def _playing(keys: bpy.types.Key) -> list[bpy.types.FCurve]:
+    data = keys.animation_data
+    return [] if data is None else [driver for driver in data.drivers if not driver.mute]
 
 
-def _reads_keys(driver: bpy.types.FCurve, sources: set[bpy.types.ID]) -> bool:
-    targets = (target for variable in driver.driver.variables for target in variable.targets)
-    return any(target.id in sources and _KEY_BLOCKS in target.data_path for target in targets)
+def _reads(driver: bpy.types.FCurve, family: Collection[bpy.types.Key]) -> bool:
+    return any(_KEY_BLOCKS in target.data_path and _keys_of(target.id) in family for target in _targets(driver))
 
 
-def _sources(driver: bpy.types.FCurve) -> set[bpy.types.ID]:
-    targets = (target for variable in driver.driver.variables for target in variable.targets)
-    return {target.id for target in targets if target.id is not None}
+def _targets(driver: bpy.types.FCurve) -> list[bpy.types.DriverTarget]:
+    return [target for variable in driver.driver.variables for target in variable.targets]
+
+
+def _keys_of(block: bpy.types.ID | None) -> bpy.types.Key | None:
+    """Return the shape keys to which a path leads from their own data-block, their mesh or its object."""
+    if isinstance(block, bpy.types.Object):
+        block = block.data
+    return block if isinstance(block, bpy.types.Key) else getattr(block, "shape_keys", None)

@@ -18,7 +18,7 @@ from ..names import PART_PROPERTY
 from ..shared_actions import make_actions_own
 from .aside import bake_of, moving, restore, set_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
-from .key_drivers import following_paths
+from .key_drivers import family_keys, following_paths
 from .live_mesh import LiveMesh, changed
 from .live_values import LiveValues
 from .targets import PoseTarget, carried_targets
@@ -142,8 +142,8 @@ class LiveHeadObject:
     def _values_of(self, obj: bpy.types.Object) -> LiveValues | None:
         if obj.data.shape_keys is None:
             return None
-        members = [shown.member for shown in self._living_meshes()]
-        return LiveValues(obj.data, self.keys, following_paths(members, obj))
+        family = family_keys([shown.member for shown in self._living_meshes()])
+        return LiveValues(obj.data, self.keys, following_paths(obj.data.shape_keys, family))
 
     def _owners(self) -> list[bpy.types.ID]:
         """Return the data-blocks whose animation is set aside: of the pose, and of the tongue."""

@@ -9,9 +9,10 @@ import numpy as np
 
 from ...core.drive.motion import HeadMotion
 from ..characters import Member, members_of, objects_of
+from ..meshes import key_names
 from ..muting import Silenced, mute_others, mute_paths, others_playing
-from .bake_keys import key_names, key_offsets, value_path
-from .key_drivers import moved_paths
+from .bake_keys import key_offsets, value_path
+from .key_drivers import family_keys, moved_paths
 
 _STILL = 1e-6
 """Largest motion of a vertex that does not move, in the unit of the head."""
@@ -42,11 +43,12 @@ def mute_disturbing(head: bpy.types.Object, motion: HeadMotion) -> list[Silenced
         What was baked.
     """
     members, silenced = members_of(head), []
+    family = family_keys(members)
     for member in members:
         if (keys := member.obj.data.shape_keys) is not None:
             paths = _moving_the_same(member, motion)
             silenced += mute_others(keys, paths)
-            silenced += mute_paths(keys, paths & moved_paths(members, member.obj), curves=False)
+            silenced += mute_paths(keys, paths & moved_paths(keys, family), curves=False)
     return silenced
 
 
