@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from numpy.typing import NDArray
 
 _GAP = 2.0
 """Space between two objects, relative to the width of the new one: a view of it does not show the other."""
+_SIDES = ((0, 1), (0, -1), (1, -1), (1, 1))
+"""Axis and direction: right, left, in front, behind."""
 _SURROUNDINGS = 20.0
 """Objects larger than the new one by this factor are taken to surround it, such as a room, a ground or a sky."""
 
@@ -22,7 +25,9 @@ def select_alone(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 
 
 def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector) -> Vector:
-    """Return a position where an object intersects no other: `place`, or otherwise to the right of the objects there.
+    """Return a position where an object intersects no other: `place`, or otherwise beside the objects there.
+
+    Of the sides, the first that the scene's camera sees is taken: right, left, in front, behind; otherwise the right.
 
     Parameters
     ----------
@@ -33,21 +38,60 @@ def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector)
         Preferred location.
     """
     context.view_layer.update()
-    low, high = _box(obj)
-    size = high - low
+    own = _box(obj)
+    size = own[1] - own[0]
     others = [
         _box(other)
         for other in context.visible_objects
         if other != obj and other.parent != obj and other.type in {"MESH", "CURVE", "SURFACE", "META", "FONT"}
     ]
     others = [box for box in others if (box[1] - box[0]).max() < _SURROUNDINGS * size.max()]
-    found = np.array(place)
-    while others:
-        hit = [box for box in others if (box[0] < found + high).all() and (box[1] > found + low).all()]
-        if not hit:
-            break
-        found[0] = max(box[1][0] for box in hit) + _GAP * size[0] - low[0]
-    return Vector(found)
+    found = [_beside(np.array(place), own, others, axis, side) for axis, side in _SIDES]
+    middle = (own[0] + own[1]) / 2
+    seen = [spot for spot in found if is_seen_by_camera(context, spot + middle, float(size.max()) / 2)]
+    return Vector((seen or found)[0])
+
+
+def _beside(
+    place: NDArray[np.float64],
+    own: tuple[NDArray[np.float64], NDArray[np.float64]],
+    others: list[tuple[NDArray[np.float64], NDArray[np.float64]]],
+    axis: int,
+    side: int,
+) -> NDArray[np.float64]:
+    """Return where a box, `own`, intersects no other one, starting at `place` and going along an axis to a side."""
+    low, high = own
+    gap = _GAP * (high - low)[axis]
+    found = place.copy()
+    while hit := [box for box in others if (box[0] < found + high).all() and (box[1] > found + low).all()]:
+        if side > 0:
+            found[axis] = max(box[1][axis] for box in hit) + gap - low[axis]
+        else:
+            found[axis] = min(box[0][axis] for box in hit) - gap - high[axis]
+    return found
+
+
+def is_seen_by_camera(context: bpy.types.Context, place: NDArray[np.float64], radius: float) -> bool:
+    """Return whether the scene's camera sees a ball.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    place : (3,) array
+        Its centre.
+    radius : float
+    """
+    scene, point = context.scene, Vector(place)
+    camera = scene.camera
+    if camera is None:
+        return False
+    right = camera.matrix_world.to_quaternion() @ Vector((radius, 0.0, 0.0))
+    ends = [world_to_camera_view(scene, camera, point + way) for way in (right, -right, Vector((0.0, 0.0, radius)))]
+    if not all(0.0 < end.x < 1.0 and 0.0 < end.y < 1.0 and end.z > 0.0 for end in ends):
+        return False
+    start = camera.matrix_world.translation
+    away = (point - start).length - radius
+    return not scene.ray_cast(context.evaluated_depsgraph_get(), start, point - start, distance=away)[0]
 
 
 def _box(obj: bpy.types.Object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

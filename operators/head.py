@@ -1,15 +1,19 @@
 """Operator that adds a built-in head."""
 
+from collections.abc import Iterator
+
 import bpy
+from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty
 
 from ..blender.heads.built_in import add_head
 from ..blender.placement import free_place
 from ..sessions.session import Session
-from .shared import ReportsErrors, require_object_mode
+from .shared import require_object_mode
+from .steps import WorksInSteps
 
 
-class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
+class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     """Add a head that is ready to be driven, with landmarks, regions, eyes, teeth and a tongue"""
 
     bl_idname = "facemime.add_head"
@@ -33,8 +37,12 @@ class FACEMIME_OT_add_head(ReportsErrors, bpy.types.Operator):
         """Require Object Mode."""
         return require_object_mode(cls, context)
 
-    def work(self, context: bpy.types.Context) -> None:
-        """Add the head at the 3D cursor, or to the right of the objects there."""
+    def status(self) -> str:
+        return _("Facemime: adding the head")
+
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """Add the head at the 3D cursor, or beside the objects there, once the status bar says so."""
+        yield 0.0
         head = add_head(context, woman=self.person == "WOMAN", units=self.units)
         head.location = free_place(context, head, context.scene.cursor.location)
         space = context.space_data

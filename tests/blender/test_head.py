@@ -9,11 +9,13 @@ from hypothesis import strategies as st
 from mathutils import Vector
 
 from facemime.blender.frames import HEAD_TO_BLENDER, flat_in_blender, from_blender, rotation_to_blender, to_blender
+from facemime.blender.heads.attached import heads_with_parts
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.preview_scene import setup_preview
 from facemime.blender.media.rendering import without_subdivision
 from facemime.blender.meshes import read_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
+from facemime.blender.placement import is_seen_by_camera
 from facemime.blender.rigs import read_rig
 from facemime.core.heads.built_in import load_head
 from facemime.core.landmarks import from_ibug
@@ -158,3 +160,20 @@ def test_small_images_are_rendered_without_subdivision_which_is_kept_for_others(
     with without_subdivision(bpy.context.scene):
         assert not modifier.show_render
     assert modifier.show_render
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_heads_are_added_where_the_camera_of_the_default_scene_sees_them(count):
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    for _ in range(count):
+        assert bpy.ops.facemime.add_head() == {"FINISHED"}
+    bpy.context.view_layer.update()
+    for head in heads_with_parts():
+        assert is_seen_by_camera(bpy.context, np.array(head.matrix_world.translation), 0.1)
+
+
+def test_without_a_camera_a_head_is_added_to_the_right_of_what_is_there():
+    bpy.ops.mesh.primitive_cube_add()
+    assert bpy.ops.facemime.add_head() == {"FINISHED"}
+    place = bpy.context.active_object.location
+    assert place.x > 1.0 and tuple(place.yz) == (0.0, 0.0)

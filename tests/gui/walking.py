@@ -52,7 +52,11 @@ sources.PacedSource.pace = Patient()
 
 def add_head(sidebar: Sidebar) -> None:
     """Click Add Head, and view the head from the front."""
+    heads = "sum('facemime_parts' in obj for obj in bpy.data.objects)"
+    before = sidebar.blender.get(heads)
     sidebar.press("bpy.ops.facemime.add_head")
+    sidebar.blender.wait_for(f"{heads} == {before + 1}")
+    sidebar.blender.redraw()
     look_from_the_front(sidebar)
 
 
