@@ -99,6 +99,7 @@ def picture_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
             picture.collection.children.link(child)
         for obj in scene.collection.objects:
             picture.collection.objects.link(obj)
+        picture.view_layers[0].update()  # which has no collections before, from Blender 5.2 on
         layers = (one.view_layers[0].layer_collection for one in (scene, picture))
         for own, new in zip(*map(collections_in, layers), strict=True):
             new.exclude = own.exclude
