@@ -6,7 +6,7 @@ without a word. That of glTF leaves out muted shape keys, and the vertex groups 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -14,6 +14,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import OutputError
+from ..collections import collections_in
 from ..muting import mute_for_now
 from .bake_keys import key_points, scaled_offsets, value_path
 
@@ -106,7 +107,7 @@ def _reveal(stack: ExitStack, objects: Sequence[bpy.types.Object]) -> None:
     """Make objects visible and selectable in the view layer, with the collections that have them."""
     layer, scene = bpy.context.view_layer, bpy.context.scene
     wanted = set(objects)
-    for place in _layers_of(layer.layer_collection):
+    for place in collections_in(layer.layer_collection):
         if wanted.intersection(place.collection.all_objects):
             _set(stack, place, "exclude", False)
             _set(stack, place, "hide_viewport", False)
@@ -123,13 +124,6 @@ def _reveal(stack: ExitStack, objects: Sequence[bpy.types.Object]) -> None:
         if obj.hide_get():
             obj.hide_set(False)
             stack.callback(obj.hide_set, True)
-
-
-def _layers_of(place: bpy.types.LayerCollection) -> Iterable[bpy.types.LayerCollection]:
-    """Yield all collections of a view layer, parents first: excluding one excludes those in it."""
-    for child in place.children:
-        yield child
-        yield from _layers_of(child)
 
 
 def _set(stack: ExitStack, owner: Any, name: str, value: Any) -> None:

@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 from ...core.heads.built_in import load_head
 from ...core.landmarks import outer_eye_distance
 from ...core.rotation import fit_rotation
+from ..characters import objects_of
+from ..collections import collections_in
 from ..frames import to_blender
 from ..meshes import can_be_driven, read_places
 from ..names import PART_PROPERTY
@@ -90,16 +92,15 @@ def setup_preview(
     points = view.points
     _aim_camera(scene, view, size)
     render = scene.render
-    render.engine = "BLENDER_WORKBENCH"
     render.resolution_x, render.resolution_y = size
-    render.resolution_percentage = 100
+    render.resolution_percentage, render.pixel_aspect_x, render.pixel_aspect_y = 100, 1.0, 1.0
     render.film_transparent = False
-    scene.view_settings.view_transform = "Standard"
     if scene.world is None:
         scene.world = bpy.data.worlds.new("Facemime Preview")
     scene.world.color = _BACKGROUND
-    _set_shading(scene, float(np.ptp(points, axis=0).max()))
+    set_shading(scene, float(np.ptp(points, axis=0).max()) * _FOLD_SHARE)
     show_colour_images()
+    _show_in_renders(scene, head_object)
 
 
 def look_at_face(view: bpy.types.RegionView3D, obj: bpy.types.Object) -> None:
@@ -124,7 +125,17 @@ def _facing(view: FaceView) -> Matrix:
     return Matrix(view.axes.tolist()) @ Matrix.Rotation(np.pi / 2.0, 3, "X")
 
 
-def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
+def set_shading(scene: bpy.types.Scene, folds: float) -> None:
+    """Set up Workbench.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+    folds : float
+        Size of the folds that are shaded.
+    """
+    scene.render.engine = "BLENDER_WORKBENCH"
+    scene.view_settings.view_transform = "Standard"
     scene.display.render_aa = "8"
     shading = scene.display.shading
     shading.light = "STUDIO"
@@ -133,11 +144,22 @@ def _set_shading(scene: bpy.types.Scene, extent: float) -> None:
     shading.show_cavity = True
     shading.cavity_type = "WORLD"
     shading.cavity_valley_factor, shading.cavity_ridge_factor = 1.6, 0.0
-    scene.display.matcap_ssao_distance = extent * _FOLD_SHARE
+    scene.display.matcap_ssao_distance = folds
     scene.display.matcap_ssao_samples = 8
     shading.show_shadows = False
     shading.show_object_outline = False
     shading.show_specular_highlight = True
+
+
+def _show_in_renders(scene: bpy.types.Scene, head: bpy.types.Object) -> None:
+    """Let renders show a head with its parts, even if they are hidden or in an excluded collection."""
+    parts = [child for child in head.children if PART_PROPERTY in child]
+    for obj in (head, *parts, *objects_of(head)):
+        obj.hide_render = False
+    for layer in scene.view_layers:
+        for place in collections_in(layer.layer_collection):
+            if head.name in place.collection.all_objects:
+                place.exclude = place.collection.hide_render = False
 
 
 def face_points(obj: bpy.types.Object) -> NDArray[np.float64]:

@@ -19,6 +19,8 @@ from ...core.capture import VideoSource, require_utf8_name
 from ...core.errors import OutputError, SourceError
 from ...core.files import replacing
 from ...core.locks import temporary_folder
+from ..collections import collections_in
+from .preview_scene import set_shading
 
 Image = NDArray[np.uint8]
 _ENLARGED, _LEAST_SIDE = 1.25, 640
@@ -26,7 +28,7 @@ _ENLARGED, _LEAST_SIDE = 1.25, 640
 
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
-    """Render frames of a scene.
+    """Render frames of a scene from its camera, with Workbench and no other render setting of the scene.
 
     They are rendered larger without anti-aliasing and averaged: without a graphics card this takes a fraction of the
     time of Workbench's eight samples and looks the same.
@@ -52,6 +54,12 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
         If the name of the temporary folder is not valid UTF-8.
     """
     require_display_library()
+    with temporary_folder() as folder, picture_of(scene) as picture:
+        require_utf8_name(folder)
+        yield from _rendered(picture, frames, size, folder / "frame.bmp")
+
+
+def _rendered(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int], path: Path) -> Iterator[Image]:
     render = scene.render
     enlarged = max(_ENLARGED, _LEAST_SIDE / max(size))
     render.resolution_x, render.resolution_y = (round(enlarged * side) for side in size)
@@ -61,19 +69,46 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
         render.image_settings.media_type = "IMAGE"
     render.image_settings.file_format = "BMP"
     render.image_settings.color_mode = "RGB"
-    with temporary_folder() as folder:
-        require_utf8_name(folder)
-        path = folder / "frame.bmp"
-        render.filepath = str(path)
-        for frame in frames:
-            whole = int(np.floor(frame))
-            scene.frame_set(whole, subframe=float(frame - whole))
-            with quiet():
-                bpy.ops.render.render(write_still=True, scene=scene.name)
-            image = cv2.imread(str(path))
-            if image is None:
-                raise OutputError("Blender did not render an image. Free some disk space in the temporary folder.")
-            yield np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    render.filepath = str(path)
+    for frame in frames:
+        whole = int(np.floor(frame))
+        scene.frame_set(whole, subframe=float(frame - whole))
+        with quiet():
+            bpy.ops.render.render(write_still=True, scene=scene.name)
+        image = cv2.imread(str(path))
+        if image is None:
+            raise OutputError("Blender did not render an image. Free some disk space in the temporary folder.")
+        yield np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+@contextlib.contextmanager
+def picture_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
+    """Yield a new scene with the objects, camera, world and rate of another, which exists as long as the context.
+
+    A new scene has no sequence, markers, compositor, view layers, stereo, region, exposure or time remapping of the
+    user's, nor anything else that later versions of Blender add.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Set up by `setup_preview`.
+    """
+    picture = bpy.data.scenes.new("Facemime Picture")
+    try:
+        for child in scene.collection.children:
+            picture.collection.children.link(child)
+        for obj in scene.collection.objects:
+            picture.collection.objects.link(obj)
+        picture.view_layers[0].update()  # which has no collections before, from Blender 5.2 on
+        layers = (one.view_layers[0].layer_collection for one in (scene, picture))
+        for own, new in zip(*map(collections_in, layers), strict=True):
+            new.exclude = own.exclude
+        picture.camera, picture.world = scene.camera, scene.world
+        picture.render.fps, picture.render.fps_base = scene.render.fps, scene.render.fps_base
+        set_shading(picture, scene.display.matcap_ssao_distance)
+        yield picture
+    finally:
+        bpy.data.scenes.remove(picture)
 
 
 @contextlib.contextmanager

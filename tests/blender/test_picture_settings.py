@@ -1,0 +1,138 @@
+"""Pictures of a head are the same whatever the user's scene renders with."""
+
+import bpy
+import cv2
+import numpy as np
+import pytest
+from thorough import first_of
+
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.landmark_pictures import draw_landmarks
+from facemime.blender.media.preview_scene import face_view, setup_preview
+from facemime.blender.media.rendering import render_frames
+
+SIZE = (96, 96)
+
+
+def _strip(scene, folder):
+    cv2.imwrite(str(folder / "red.png"), np.full((64, 64, 3), (0, 0, 255), np.uint8))
+    editor = scene.sequence_editor_create()
+    strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+    strips.new_image("red", str(folder / "red.png"), channel=1, frame_start=1).frame_final_duration = 200
+
+
+def _marker(scene, _):
+    camera = bpy.data.objects.new("Shot", bpy.data.cameras.new("Shot"))
+    scene.collection.objects.link(camera)
+    camera.location = (50.0, 0.0, 0.0)
+    scene.timeline_markers.new("Shot", frame=1).camera = camera
+
+
+def _region(scene, _):
+    scene.render.use_border = scene.render.use_crop_to_border = True
+    scene.render.border_min_x, scene.render.border_max_x = 0.5, 0.7
+
+
+def _compositor(scene, _):
+    if hasattr(scene, "compositing_node_group"):
+        scene.compositing_node_group = bpy.data.node_groups.new("Nothing", "CompositorNodeTree")
+    else:
+        scene.use_nodes = True
+        scene.node_tree.nodes.clear()
+
+
+def _colours(scene, _):
+    scene.view_settings.exposure, scene.view_settings.gamma = 3.0, 2.0
+    scene.view_settings.use_curve_mapping = True
+    scene.view_settings.curve_mapping.white_level = (0.2, 0.2, 0.2)
+
+
+def _look(scene, _):
+    scene.view_settings.look = "AgX - High Contrast" if "AgX" in scene.view_settings.view_transform else "None"
+    scene.render.image_settings.color_management = "OVERRIDE"
+    scene.render.image_settings.view_settings.exposure = 5.0
+
+
+def _stereo(scene, _):
+    scene.render.use_multiview = True
+
+
+def _output(scene, _):
+    scene.render.resolution_percentage, scene.render.pixel_aspect_x, scene.frame_step = 20, 2.0, 7
+    scene.render.use_stamp = scene.render.film_transparent = True
+    scene.render.image_settings.color_mode = "BW"
+
+
+def _engine(scene, _):
+    scene.render.engine = "CYCLES" if hasattr(scene, "cycles") else scene.render.engine
+    scene.render.use_motion_blur = scene.render.use_simplify = scene.render.use_freestyle = True
+    scene.render.frame_map_new = 300
+
+
+def _workbench(scene, _):
+    shading = scene.display.shading
+    shading.show_xray, shading.show_backface_culling, shading.light, shading.use_dof = True, True, "FLAT", True
+    shading.color_type, shading.single_color = "SINGLE", (1.0, 0.0, 0.0)
+
+
+def _layers(scene, _):
+    scene.view_layers[0].use = False
+    scene.view_layers.new("Empty")
+    scene.view_layers[0].material_override = bpy.data.materials.new("Override")
+
+
+def _hidden(scene, _):
+    collection = bpy.data.collections.new("Character")
+    scene.collection.children.link(collection)
+    for obj in list(scene.collection.objects):
+        scene.collection.objects.unlink(obj)
+        collection.objects.link(obj)
+        obj.hide_render = True
+    collection.hide_render = True
+    bpy.context.view_layer.update()
+
+
+def _background(scene, _):
+    other = bpy.data.scenes.new("Set")
+    cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
+    cube.data.from_pydata([(x, -0.2, z) for x in (-9, 9) for z in (-9, 9)], [], [(0, 1, 3, 2)])
+    other.collection.objects.link(cube)
+    scene.background_set = other
+
+
+SETTINGS = [
+    *(_strip, _marker, _region, _compositor, _colours, _look, _stereo, _output, _engine, _workbench, _layers),
+    *(_hidden, _background),
+]
+
+
+def picture():
+    scene, head = bpy.context.scene, bpy.context.scene.objects["Facemime Head"]
+    setup_preview(scene, head, SIZE, face_view(head))
+    (image,) = render_frames(scene, [30.0], SIZE)
+    return image.astype(float)
+
+
+@pytest.fixture(scope="module")
+def plain(_registered):
+    """The picture of a head in a new file."""
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    add_head(bpy.context)
+    return picture()
+
+
+@pytest.mark.parametrize("change", first_of(SETTINGS, 3), ids=lambda change: change.__name__)
+def test_the_picture_of_a_head_does_not_depend_on(change, plain, tmp_path):
+    add_head(bpy.context)
+    change(bpy.context.scene, tmp_path)
+    scenes = list(bpy.data.scenes)
+    assert np.abs(picture() - plain).mean() < 1.0
+    assert list(bpy.data.scenes) == scenes
+
+
+def test_landmarks_are_drawn_on_the_face_whatever_the_pixels_aspect():
+    head, scene = add_head(bpy.context), bpy.context.scene
+    wanted = draw_landmarks(scene, head, 96)
+    bpy.data.objects.remove(scene.camera)
+    scene.render.pixel_aspect_y, scene.render.resolution_percentage = 1.8, 40
+    np.testing.assert_allclose(draw_landmarks(scene, head, 96), wanted, atol=3)
