@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import contextlib
+import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from ..core.binding.bind import MARKS, MIN_MARKS
 from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import FacemimeError
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
@@ -13,6 +16,10 @@ from .terminal.blender import importing_blender
 from .terminal.console import say, tell
 from .terminal.options import Commands, add_command, add_output, head_file
 from .terminal.outputs import outputs_of
+from .terminal.remedies import for_terminal
+
+DOUBTFUL = 3
+"""Exit status of `bind` if the head was written, but its face may be elsewhere."""
 
 
 def add_commands(commands: Commands) -> None:
@@ -43,12 +50,22 @@ def add_commands(commands: Commands) -> None:
         help="a take whose motion ARKit's keys shall reproduce; may be repeated",
     )
     bind.add_argument("--cut-open", action="store_true", help="cut open lips and eyes that are joined, as on a scan")
+    points = "; ".join(f"{number} {name}" for number, name in sorted(MARKS.items()))
+    bind.add_argument(
+        "--mark",
+        type=parse_mark,
+        action="append",
+        default=[],
+        metavar="POINT=VERTEX|X,Y,Z",
+        help=f"a point of the face, by vertex or by position in Blender; at least {MIN_MARKS} of: {points}",
+    )
     bind.set_defaults(
         run=lambda given: run_bind(
             *(given[name] for name in ("character", "output", "picture")),
             make_keys=given["make_keys"],
             refine=given["refine"],
             cut_open=given["cut_open"],
+            marks=dict(given["mark"]),
         )
     )
 
@@ -61,8 +78,11 @@ def run_bind(
     make_keys: str | None,
     refine: Sequence[Path],
     cut_open: bool,
+    marks: Mapping[int, int | tuple[float, float, float]],
 ) -> int:
     """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status.
+
+    It is `DOUBTFUL` if the face may not be where it was found.
 
     Parameters
     ----------
@@ -78,6 +98,8 @@ def run_bind(
         Takes that refine these keys.
     cut_open : bool
         Whether joined lips and eyes are cut open.
+    marks : mapping of int to (int or (float, float, float))
+        Vertices or positions of points of the face, by iBUG number.
     """
     if refine and make_keys != "arkit":
         raise FacemimeError("Takes refine ARKit's keys alone. Add --make-keys arkit, or leave out --refine.")
@@ -86,7 +108,7 @@ def run_bind(
         from .puppet import character as headless
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
         keys = None if make_keys is None else KEY_SETS[make_keys]
-        bound = headless.bind(character, keys=keys, takes=takes, cut_open=cut_open)
+        bound = headless.bind(character, keys=keys, takes=takes, cut_open=cut_open, marks=marks)
         headless.save(bound, output)
         if picture is not None:
             headless.write_picture(bound, picture)
@@ -94,5 +116,28 @@ def run_bind(
     if bound.keys is not None:
         say(bound.key_table())
     for problem in bound.problems:
-        tell(f"facemime: {problem}")
+        tell(f"facemime: {for_terminal(problem)}")
+    if doubt := bound.doubt():
+        tell(f"facemime: {doubt}")
+        return DOUBTFUL
     return 0
+
+
+def parse_mark(text: str) -> tuple[int, int | tuple[float, float, float]]:
+    """Parse a point of the face, `8=1234` or `8=0.1,0.02,1.6`.
+
+    Raises
+    ------
+    FacemimeError
+        If it is anything else.
+    """
+    number, _, place = text.partition("=")
+    values = place.split(",")
+    with contextlib.suppress(ValueError):
+        if (point := int(number)) in MARKS and len(values) == 1:
+            return point, int(place)
+        x, y, z = map(float, values)
+        if point in MARKS and all(map(math.isfinite, (x, y, z))):
+            return point, (x, y, z)
+    known = ", ".join(map(str, sorted(MARKS)))
+    raise FacemimeError(f"{text!r} is not a point of a face. Use 8=VERTEX or 8=X,Y,Z, with one of: {known}.")

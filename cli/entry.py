@@ -30,7 +30,7 @@ def start(arguments: Sequence[str] | None = None) -> NoReturn:
         from .main import main
     STOPPING.run()
     try:
-        status = main(arguments)
+        status = main(arguments, guard=True)
     except SystemExit as end:
         status = end.code if isinstance(end.code, int) else 0
     except KeyboardInterrupt:
@@ -48,6 +48,8 @@ def _leave(status: int) -> NoReturn:
     contains a driver that was not run.
     """
     STOPPING.leave()
+    if (guard := sys.modules.get(f"{__package__}.terminal.guard")) is not None:
+        guard.end_child()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # the reader is gone
             stream.flush()

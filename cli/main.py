@@ -13,17 +13,27 @@ import sys
 from collections.abc import Sequence
 
 from ..core.errors import FacemimeError
+from ..core.puppet.job import HeadFile
 from ..core.version import version
 from . import bind, landmarks, receive, select, send, serve, takes
 from .batch import command as batch
 from .puppet import command as puppeting
 from .terminal.console import tell
+from .terminal.guard import is_child, run_in_child
 from .terminal.options import Parser, parse
+from .terminal.remedies import for_terminal
 from .terminal.stopping import INTERRUPTED, STOPPING
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main(argv: Sequence[str] | None = None, *, guard: bool = False) -> int:
     """Run the command.
+
+    Parameters
+    ----------
+    argv : sequence of str, optional
+        The arguments; by default those of this process.
+    guard : bool
+        Whether files of characters, which may be damaged, are read in a child process that may die.
 
     Returns
     -------
@@ -35,9 +45,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             stack.enter_context(contextlib.redirect_stderr(stack.enter_context(open(os.devnull, "w"))))
         try:
             options = parse(_parser(), argv)
-            status = int(options["run"](options))
+            file = next((value for value in options.values() if isinstance(value, HeadFile)), None)
+            if guard and not is_child() and file is not None and file.is_character:
+                status = run_in_child(sys.argv[1:] if argv is None else argv, file.path)
+            else:
+                status = int(options["run"](options))
         except FacemimeError as error:
-            tell(f"facemime: {error}")
+            tell(f"facemime: {for_terminal(str(error))}")
             return 1
         except KeyboardInterrupt as stop:
             kept = f"; {stop}" if str(stop) else ". Files that were complete are kept"

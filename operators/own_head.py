@@ -162,14 +162,8 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
             report(self, "Face found. It is shown alone in Local View, as other objects hide it. Check the points")
         else:
             report(self, "Face found. Check the points")
-        if binding.wanted:
-            label1, label2, label3, label4 = (MARKS[number].capitalize() for number in binding.wanted)
-            report(
-                self,
-                "This face is unusual. If landmarks are misplaced, mark four points: "
-                f"{label1}; {label2}; {label3}; {label4}",
-                "WARNING",
-            )
+        if binding.doubt:
+            report(self, binding.doubt, "WARNING")
         for finding in binding.findings:
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
         if binding.body and not read_bones(subject(context))[1].head:

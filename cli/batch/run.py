@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -13,6 +12,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ...core.errors import FacemimeError
+from ..terminal.guard import own_command
 from ..terminal.leash import LEASH
 
 _LINES = 12
@@ -39,14 +39,6 @@ class Runner(Protocol):
     def close(self) -> None:
         """Stop running lines and drop waiting ones; may be called twice."""
         ...
-
-
-def own_command() -> list[str]:
-    """The command that starts this `facemime`: through Blender if it runs inside Blender, otherwise through Python."""
-    blender = sys.modules.get("bpy")  # always loaded inside Blender; not to be imported for this elsewhere
-    if blender is not None and blender.app.binary_path:
-        return [blender.app.binary_path, "--command", "facemime"]
-    return [sys.executable, "-m", __package__.rpartition(".")[0]]
 
 
 class LocalRunner:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,18 +15,26 @@ from ...blender.characters import part_table, read_bones
 from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import check_object
 from ...blender.heads.expression_keys import MadeKeys, make_expression_keys
-from ...blender.heads.family import armature_of, character_of
+from ...blender.heads.family import armature_of, character_of, family_of
+from ...blender.heads.keyed import bind_keys, known_set
 from ...blender.heads.landmark_pictures import draw_landmarks
+from ...blender.heads.marks import Mark, mark_points, position_of
+from ...blender.meshes import driven_by_keys, read_landmarks
+from ...core.bake.key_map import ESSENTIAL
 from ...core.binding.bind import Binding
 from ...core.drive.key_sets import KeySet
+from ...core.errors import HeadError
 from ...core.heads.parts import PART_NAMES
 from ...core.images import write_image
+from ...core.landmarks import from_ibug
 from ...core.puppet.job import HeadFile
 from ...core.takes.take import Take
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import STOPPING
-from .files import CUTS, bound_character, likely_mesh, object_named, open_file, open_head, set_frames
+from .files import CUTS, bound_character, likely_mesh, object_named, open_file, open_head, read_from, set_frames
 from .headless import AVATAR_SIDE, save_blend
+
+_NO_MARKS: Mapping[int, Mark] = {}
 
 
 @dataclass(frozen=True)
@@ -37,7 +45,8 @@ class BoundCharacter:
     ----------
     head : bpy.types.Object
         The mesh with the skin of its face.
-    binding : Binding
+    binding : Binding or None
+        None if it is bound by its shape keys alone.
     problems : list of str
         What keeps it from being driven well.
     keys : MadeKeys or None
@@ -45,9 +54,20 @@ class BoundCharacter:
     """
 
     head: bpy.types.Object
-    binding: Binding
+    binding: Binding | None
     problems: list[str]
     keys: MadeKeys | None = None
+
+    def doubt(self) -> str:
+        """Return what to do if this may not be the face, and where the points that matter are now; "" if it is."""
+        if self.binding is None or not self.binding.doubt:
+            return ""
+        landmarks = read_landmarks(self.head)
+        places = {
+            number: position_of(self.head, int(landmarks[from_ibug([number])[0]])) for number in self.binding.wanted
+        }
+        now = " ".join(f"--mark {number}={','.join(f'{value:.4g}' for value in at)}" for number, at in places.items())
+        return f"{self.binding.doubt}. They are at: {now}"
 
     def table(self) -> str:
         """Return a line for each part of each object, and for each bone."""
@@ -59,7 +79,8 @@ class BoundCharacter:
         if armature is not None:
             chosen = {"head": bones.head, "right eye": bones.eye_right, "left eye": bones.eye_left}
             lines += [f"bone of the {name}: {bone}" for name, bone in chosen.items() if bone]
-        return "\n".join([*lines, f"head: {self.head.name}, 66 landmarks"])
+        how = "shape keys alone" if driven_by_keys(self.head) else "66 landmarks"
+        return "\n".join([*lines, f"head: {self.head.name}, {how}"])
 
     def key_table(self) -> str:
         """Return a line for each shape key that was made: how far it moves, and what stays open or passes through."""
@@ -77,7 +98,12 @@ def _percent(share: float) -> str:
 
 
 def bind(
-    character: HeadFile, *, keys: KeySet | None, takes: Sequence[Take] = (), cut_open: bool = False
+    character: HeadFile,
+    *,
+    keys: KeySet | None,
+    takes: Sequence[Take] = (),
+    cut_open: bool = False,
+    marks: Mapping[int, Mark] = _NO_MARKS,
 ) -> BoundCharacter:
     """Open or import a character and bind it, and make a set of shape keys if one is given.
 
@@ -93,23 +119,43 @@ def bind(
         Takes that refine these keys.
     cut_open : bool
         Whether joined lips and eyes are cut open.
+    marks : mapping of int to Mark
+        Points of the face, by iBUG number.
 
     Raises
     ------
     FacemimeError
         If the file cannot be read, has no such object, or no face is found.
     """
-    open_file(character.path)
-    chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
-    head, binding = bound_character(chosen)
+    with read_from(character.path):
+        open_file(character.path)
+        chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
+        head, binding = _bound(chosen, marks)
+    if binding is None:
+        return BoundCharacter(head, None, [])
     for step in [finding.step for finding in check_object(head)] if cut_open else []:
         if (cut := CUTS.get(step)) is not None:
             cut(head)
     made = None if keys is None else make_expression_keys(head, keys, takes)
     if made is not None:
         tell(". ".join([made.summary(), *made.findings]))
-    problems = [f"{finding.problem} {finding.remedy}" for finding in check_object(head)]
-    return BoundCharacter(head, binding, problems, made)
+    findings = [*binding.findings, *check_object(head)]
+    return BoundCharacter(head, binding, [f"{finding.problem} {finding.remedy}" for finding in findings], made)
+
+
+def _bound(chosen: bpy.types.Object, marks: Mapping[int, Mark]) -> tuple[bpy.types.Object, Binding | None]:
+    """Bind a character by its face, or by its shape keys alone if no face is found; there is no binding then."""
+    if marks:
+        return bound_character(mark_points(chosen, marks))
+    try:
+        return bound_character(chosen)
+    except HeadError:
+        sets = [found for member in family_of(chosen) if (found := known_set(member)) is not None]
+        if not any(found.sources >= ESSENTIAL for found in sets):
+            raise
+    head = bind_keys(chosen)
+    tell(f"No face was found. {head.name} is driven by its shape keys alone.")
+    return head, None
 
 
 def save(bound: BoundCharacter, output: Path) -> None:
@@ -156,10 +202,15 @@ def sample(character: HeadFile, clip: str = "") -> Take:
     FacemimeError
         If the file cannot be read, no face is found, the face does not move, or there is no such clip.
     """
-    head = open_head(character)
-    _choose_clip(character.path, head, clip)
+    with read_from(character.path):
+        head = open_head(character)
+        _choose_clip(character.path, head, clip)
+        return _sampled(character.path, head)
+
+
+def _sampled(path: Path, head: bpy.types.Object) -> Take:
     scene = scene_of(head)
-    sampling = Sampling(scene, head, character.path.name)
+    sampling = Sampling(scene, head, path.name)
     progress = Progress(f"Sampling {head.name}", len(sampling.frames))
     with showing_scene(scene):
         for done in sampling:

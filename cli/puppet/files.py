@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 
 import bpy
@@ -19,10 +20,11 @@ from ...blender.media.rendering import quiet, set_rate
 from ...blender.meshes import can_be_driven
 from ...core.binding.bind import Binding
 from ...core.capture import check_readable, require_utf8_name
-from ...core.errors import HeadError, SourceError
+from ...core.errors import FacemimeError, HeadError, SourceError
 from ...core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ...core.takes.file_rate import gltf_of
 from ..terminal.console import tell
+from ..terminal.guard import limited
 from ..terminal.stopping import STOPPING
 from .usd import animation_rate
 
@@ -49,7 +51,7 @@ def open_blend(path: Path) -> None:
     require_utf8_name(Path(place))
     try:
         # A file from elsewhere may contain scripts: none is run, whatever the preferences say.
-        with STOPPING.holding(), quiet():
+        with STOPPING.holding(), quiet(), limited(path):
             bpy.ops.wm.open_mainfile(filepath=place, use_scripts=False)
     except RuntimeError as error:
         raise SourceError(
@@ -100,11 +102,11 @@ def open_file(path: Path) -> None:
     if (rate := animation_rate(path)) is not None:
         set_rate(bpy.context.scene, rate)
     try:
-        with STOPPING.holding(), quiet():
+        with STOPPING.holding(), quiet(), limited(path):
             _IMPORTERS[suffix](str(path.resolve()))
         if suffix == ".vrm" and (count := add_expressions(gltf_of(path)[0], bpy.context.scene.objects)):
             tell(f"{path.name} is driven by {count} expressions of its own.")
-    except (RuntimeError, AttributeError, OSError, ValueError) as error:
+    except (RuntimeError, AttributeError, OSError, ValueError, MemoryError) as error:
         raise SourceError(
             f"{path} cannot be imported by this version of Blender ({_reason(error)}). Export it again, or use a "
             ".blend file."
@@ -139,6 +141,24 @@ def likely_mesh(path: Path) -> bpy.types.Object:
     return chosen
 
 
+@contextmanager
+def read_from(path: Path) -> Iterator[None]:
+    """Turn whatever goes wrong with a stranger's file, in Blender or here, into a SourceError that names the file.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    """
+    try:
+        yield
+    except FacemimeError:
+        raise
+    except Exception as error:
+        reason = f"{type(error).__name__}: {_reason(error)}"
+        raise SourceError(f"{path} cannot be used ({reason}). It may be damaged; export it again.") from error
+
+
 def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.types.Object:
     """Open the head in a file. A character that is not bound yet is bound.
 
@@ -153,6 +173,11 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
     FacemimeError
         If the file cannot be read, the object does not exist, several have landmarks, or no face is found.
     """
+    with read_from(file.path):
+        return _open_head(file, by_keys)
+
+
+def _open_head(file: HeadFile, by_keys: Collection[str] | None) -> bpy.types.Object:
     path, name = file.path, file.name
     open_file(path)
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
@@ -168,7 +193,9 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
         head = bind_keys(chosen)
         tell(f"{head.name} is driven by its shape keys alone.")
         return head
-    head, _ = bound_character(chosen)
+    head, binding = bound_character(chosen)
+    if binding.doubt:
+        tell(f"facemime: {binding.doubt}")
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
     if joined := [finding.problem for finding in check_object(head) if finding.step in CUTS]:
         tell(" ".join([*joined, f"To cut them open: facemime bind {path} -o HEAD.blend --cut-open"]))

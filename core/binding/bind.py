@@ -30,7 +30,7 @@ from ..landmarks import (
 )
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
-from .fit import fit_template
+from .fit import NOT_FOUND, fit_template
 from .rest import resting_findings
 from .sight import Sight
 from .template import Surface, Template, load_template
@@ -44,6 +44,10 @@ MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left
 }
 """Points that a user may mark, by iBUG number; all or some of them, in any order."""
 MIN_MARKS = 4
+TOO_COARSE = "The mesh is too coarse for 66 landmarks. Subdivide the face, or use another mesh."
+_ENOUGH = 5 * N_LANDMARKS
+"""Number of vertices below which a mesh in which no face is found is too coarse. The built-in head, decimated, is found
+down to 370."""
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 """Landmarks that lie on the rims of openings, if the mesh has any there."""
@@ -108,6 +112,17 @@ class Binding:
         """Whether this certainly is a face in this attitude: marked, clearly seen, or shaped like a human head."""
         return not self.wanted
 
+    @property
+    def doubt(self) -> str:
+        """What to do if this may not be the face; "" if it is `sure`."""
+        if self.sure:
+            return ""
+        label1, label2, label3, label4 = (MARKS[number].capitalize() for number in self.wanted)
+        return (
+            "This face is unusual. If landmarks are misplaced, mark four points: "
+            f"{label1}; {label2}; {label3}; {label4}"
+        )
+
 
 def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> Binding:
     """Find the 66 landmarks of a head.
@@ -145,12 +160,15 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     if picked and (min(picked.values()) < 0 or max(picked.values()) >= len(places)):
         raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
     if len(places) < N_LANDMARKS:
-        raise HeadError(
-            f"No face was found: {N_LANDMARKS} landmarks need more than {len(places)} vertices. Select another mesh."
-        )
+        raise HeadError(TOO_COARSE)
     # 1. to 3. Look, similarity and warps.
     template = load_template()
-    fitted = fit_template(template, places, np.asarray(faces), picked)
+    try:
+        fitted = fit_template(template, places, np.asarray(faces), picked)
+    except HeadError as error:
+        if picked or len(places) >= _ENOUGH:
+            raise
+        raise HeadError(TOO_COARSE) from error
     surface, (unit, rotation, _), bent, picked = fitted.view.surface, fitted.pose, fitted.bent, dict(fitted.marks)
     # Vertices nearest to the bent landmarks; marked points override them.
     sight = fitted.sight
@@ -168,7 +186,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
         landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
     if len(set(landmarks.tolist())) < (_DISTINCT if sight is not None or picked else _DISTINCT_BY_SHAPE) * N_LANDMARKS:
-        raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
+        raise HeadError(TOO_COARSE if sight is not None or picked or len(places) < _ENOUGH else NOT_FOUND)
     turn = rotation.T @ fitted.view.attitude
     found = fitted.view.part[_distinct(graph, landmarks)]
     body = len(fitted.view.part) < _HEAD_SHARE * len(places)
@@ -290,7 +308,7 @@ def _distinct(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
         if vertex in used:
             free = [v for v in graph.neighbours(vertex) if v not in used]
             if not free:
-                raise HeadError("The mesh is too coarse for 66 landmarks. Subdivide the face, or use another mesh.")
+                raise HeadError(TOO_COARSE)
             spread[i] = min(free, key=lambda v: float(np.linalg.norm(graph.vertices[v] - graph.vertices[vertex])))
         used.add(int(spread[i]))
     return spread

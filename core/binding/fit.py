@@ -17,6 +17,7 @@ from .sight import Sight, look
 from .template import Surface, Template
 from .views import View, seen_view, views_of
 
+NOT_FOUND = "No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin."
 _LOW_STRAIN = 0.045
 """Strain in outer-eye distances below which an attitude is accepted. Human heads have 0.02 to 0.035, wrong attitudes
 0.05 and more."""
@@ -136,7 +137,7 @@ def fit_template(template: Template, places: FloatArray, faces: IntArray, picked
     if seen is not None and not (best is not None and best.strain < _LOW_STRAIN):
         best = seen
     if best is None or not np.isfinite(best.strain) or not (picked or best.sight or best.strain < _LOW_STRAIN):
-        raise HeadError("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
+        raise HeadError(NOT_FOUND)
     return best
 
 

@@ -97,21 +97,17 @@ def _candidates(
     corners: FloatArray, nearness: FloatArray, chosen: NDArray[np.intp], low: IntArray, side: int, size: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float32], NDArray[np.float32]]:
     """Pixels inside the chosen triangles, as index, triangle, barycentric coordinates and depth."""
-    a, b, c = (corners[chosen, i][:, None] for i in range(3))
-    step = np.stack(np.meshgrid(np.arange(side), np.arange(side), indexing="xy"), -1).reshape(-1, 2)
-    at = low[:, None] + step
-    p = at.astype(np.float32)
-    area = _cross(b - a, c - a)
-    area = np.where(np.abs(area) < 1e-9, 1e-9, area)
-    wb, wc = _cross(p - a, c - a) / area, _cross(b - a, p - a) / area
+    a, b, c = (corners[chosen, i] for i in range(3))
+    u, v = b - a, c - a
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    area = np.where(np.abs(area) < 1e-9, np.float32(1e-9), area)[:, None]
+    down, across = np.divmod(np.arange(side * side), side)
+    x, y = low[:, :1] + across, low[:, 1:] + down
+    px, py = x.astype(np.float32) - a[:, :1], y.astype(np.float32) - a[:, 1:]
+    wb, wc = (px * v[:, 1:] - py * v[:, :1]) / area, (u[:, :1] * py - u[:, 1:] * px) / area
     wa = 1.0 - wb - wc
-    row, col = np.nonzero((wa >= 0) & (wb >= 0) & (wc >= 0) & (at < size).all(axis=-1))
-    weights = np.stack([wa, wb, wc], axis=-1)[row, col].astype(np.float32)
+    row, col = np.nonzero((wa >= 0) & (wb >= 0) & (wc >= 0) & (x < size) & (y < size))
+    weights = np.column_stack([w[row, col] for w in (wa, wb, wc)]).astype(np.float32)
     triangle = chosen[row]
     z = (weights * nearness[triangle]).sum(axis=1).astype(np.float32)
-    position = at[row, col]
-    return position[:, 1] * size + position[:, 0], triangle, weights, z
-
-
-def _cross(u: FloatArray, v: FloatArray) -> FloatArray:
-    return np.asarray(u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0])
+    return y[row, col] * size + x[row, col], triangle, weights, z

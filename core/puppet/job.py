@@ -31,6 +31,11 @@ class HeadFile:
     path: Path
     name: str = ""
 
+    @property
+    def is_character(self) -> bool:
+        """Whether the file can have a character, by its suffix."""
+        return self.path.suffix.lower() in CHARACTER_SUFFIXES
+
 
 @dataclass(frozen=True)
 class PuppetJob:

@@ -26,6 +26,7 @@ from facemime.cli.batch.clips import (
     write_record,
 )
 from facemime.cli.batch.report import Entry, write_report
+from facemime.cli.terminal.guard import own_command
 from facemime.cli.terminal.options import Parser, add_puppet_options, as_options, parse, puppet_job
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.settings import DriveSettings, PosingSettings
@@ -257,9 +258,9 @@ def test_closing_a_runner_ends_running_and_drops_waiting_lines(python_lines, tmp
 
 def test_inside_blender_processes_are_started_through_blender(monkeypatch):
     monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="/opt/blender")))
-    assert run.own_command() == ["/opt/blender", "--command", "facemime"]
+    assert own_command() == ["/opt/blender", "--command", "facemime"]
     monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="")))
-    assert run.own_command() == [sys.executable, "-m", "facemime.cli"]
+    assert own_command() == [sys.executable, "-m", "facemime.cli"]
 
 
 def test_missing_dask_or_scheduler_is_a_clear_error(monkeypatch):

@@ -1,0 +1,124 @@
+"""The command `bind`: doubtful faces, points of the face, and messages for who has no window."""
+
+import bpy
+import numpy as np
+import pytest
+
+from blenders import ROOT
+from commands import run
+from facemime.blender.frames import to_blender
+from facemime.blender.heads.binding import read_marks
+from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.marks import mark_points
+from facemime.blender.meshes import read_landmarks, read_vertices
+from facemime.cli.bind import DOUBTFUL, parse_mark
+from facemime.cli.terminal.remedies import REMEDIES, for_terminal
+from facemime.core.binding.bind import MARKS, TOO_COARSE
+from facemime.core.errors import FacemimeError, HeadError
+from facemime.core.landmarks import from_ibug, outer_eye_distance
+
+
+@pytest.fixture
+def plain():
+    """The skin of the built-in head, as a stranger's mesh that is not at the origin, and where its landmarks are."""
+    head = add_head(bpy.context)
+    head.name = "Face"
+    places = read_vertices(head.data)[read_landmarks(head)]
+    for child in head.children:
+        bpy.data.objects.remove(child)
+    for owner in (head, head.data):
+        for key in list(owner.keys()):
+            del owner[key]
+    head.vertex_groups.clear()
+    head.location = (0.5, 0.0, 1.6)
+    bpy.context.view_layer.update()
+    return head, places
+
+
+def in_scene(head, places):
+    matrix = np.array(head.matrix_world)
+    return to_blender(places) @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def distorted(head, places):
+    """Move the mouth onto the nose, as on an ogre."""
+    points = read_vertices(head.data).astype(float)
+    unit = outer_eye_distance(places)
+    mouth = places[from_ibug([48, 54])].mean(axis=0)
+    near = np.exp(-np.square(np.linalg.norm(points - mouth, axis=1) / (0.45 * unit)))
+    points[:, 1] -= 0.3 * unit * near
+    points[:, 0] *= 1.0 + 0.8 * near
+    for vertex, place in zip(head.data.vertices, to_blender(points), strict=True):
+        vertex.co = place
+    return points
+
+
+def test_points_are_marked_by_vertex_or_by_position_in_the_scene(plain):
+    head, places = plain
+    wanted = {number: places[from_ibug([number])[0]] for number in MARKS}
+    marks = {number: tuple(in_scene(head, place[None])[0]) for number, place in wanted.items()}
+    other = bpy.data.objects.new("Box", bpy.data.meshes.new("Box"))
+    bpy.context.scene.collection.objects.link(other)
+    assert mark_points(head, marks) == head
+    found = read_marks(head.data)
+    for number, place in wanted.items():
+        np.testing.assert_allclose(read_vertices(head.data)[found[number]], place, atol=1e-5)
+    assert mark_points(head, {8: 17}) == head and read_marks(head.data) == {8: 17}
+    with pytest.raises(HeadError, match="Point 8 cannot be vertex 99999: Face has 1781 vertices"):
+        mark_points(head, {8: 99999})
+    with pytest.raises(HeadError, match=r"Point 8 is .* m away from Face"):
+        mark_points(head, {8: (0.0, 9.0, 0.0)})
+
+
+@pytest.mark.parametrize("text", ["", "8", "8=", "5=3", "8=1,2", "8=nan,0,0", "8=1.5", "x=1"])
+def test_a_point_that_cannot_be_understood_is_reported(text):
+    with pytest.raises(FacemimeError, match="is not a point of a face"):
+        parse_mark(text)
+    assert parse_mark("8=12") == (8, 12) and parse_mark("45=0.1,-2e-1,1") == (45, (0.1, -0.2, 1.0))
+
+
+@pytest.mark.thorough
+def test_a_doubtful_face_is_said_and_marks_settle_it(plain, tmp_path):
+    head, places = plain
+    distorted(head, places)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "ogre.blend"))
+    done = run("bind", tmp_path / "ogre.blend", "-o", tmp_path / "out.blend")
+    assert done.returncode == DOUBTFUL and (tmp_path / "out.blend").is_file()
+    assert "This face is unusual. If landmarks are misplaced, mark four points: " in done.stderr
+    options = [part for part in done.stderr.split() if part.startswith(tuple(f"{number}=" for number in MARKS))]
+    assert len(options) == 4
+    marks = [word for option in options for word in ("--mark", option)]
+    done = run("bind", tmp_path / "ogre.blend", "-o", tmp_path / "out.blend", *marks)
+    assert done.returncode == 0 and "unusual" not in done.stderr
+
+
+@pytest.mark.parametrize("marked", [False, True])
+def test_a_mesh_that_is_too_coarse_says_that_it_has_to_be_subdivided(plain, marked):
+    head, places = plain
+    head.modifiers.new("Decimate", "DECIMATE").ratio = 0.1
+    with bpy.context.temp_override(object=head):
+        bpy.ops.object.modifier_apply(modifier="Decimate")
+    if marked:
+        mark_points(head, {n: tuple(in_scene(head, places[from_ibug([n])])[0]) for n in MARKS})
+    with pytest.raises(RuntimeError, match="Subdivide the face"):
+        bpy.ops.facemime.bind_landmarks()
+    assert "Subdivide" in TOO_COARSE
+
+
+@pytest.mark.thorough
+def test_errors_of_the_command_name_options_and_no_buttons(tmp_path):
+    bpy.ops.mesh.primitive_torus_add(major_segments=40, minor_segments=20)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "torus.blend"))
+    done = run("bind", tmp_path / "torus.blend", "-o", tmp_path / "out.blend")
+    assert done.returncode == 1 and "--mark 36=" in done.stderr and "Mark the corners" not in done.stderr
+    add_head(bpy.context)
+
+
+def test_every_remedy_of_the_window_that_is_replaced_occurs_in_a_message():
+    sources = " ".join(
+        path.read_text(encoding="utf-8") for folder in ("core", "blender") for path in (ROOT / folder).rglob("*.py")
+    )
+    joined = " ".join(sources.replace('"\n', "").split()).replace('f"', '"').replace(' "', "")
+    for window, terminal in REMEDIES.items():
+        assert window in sources or window.replace(" ", "") in joined.replace(" ", "").replace('"', ""), window
+        assert for_terminal(f"Problem. {window}") == f"Problem. {terminal}"
