@@ -49,7 +49,8 @@ def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[i
 
 
 def has_preview(screen: bpy.types.Screen, region: bpy.types.Region) -> bool:
-    """Return whether the preview is in this region, which is the largest 3D Viewport of the screen.
+    """Return whether the preview is in this region: the largest 3D Viewport of the screen, or the view of its Quad View
+    of which least is covered.
 
     Parameters
     ----------
@@ -59,7 +60,15 @@ def has_preview(screen: bpy.types.Screen, region: bpy.types.Region) -> bool:
         A region of one of its areas.
     """
     largest = largest_viewport(screen)
-    return largest is not None and largest.region == region
+    if largest is None:
+        return False
+    views = [other for other in reversed(largest.area.regions) if other.type == "WINDOW"]
+    return bool(max(views, key=lambda view: _free_space(largest.area, view)) == region)
+
+
+def _free_space(area: bpy.types.Area, region: bpy.types.Region) -> float:
+    free = free_box(area, region)
+    return (free.right - free.left) * (free.top - free.bottom)
 
 
 class PreviewDrag:

@@ -15,7 +15,7 @@ _FONT = 0
 _LEADING = 1.4
 """Distance of lines of text, relative to their size."""
 WHITE = (1.0, 1.0, 1.0, 0.9)
-_PLATE = (0.0, 0.0, 0.0, 0.6)
+_PLATE = (0.0, 0.0, 0.0, 0.85)
 _WIDE = "\u2e80-\u9fff\uf900-\ufaff\uff00-\uffef"
 """Characters of Chinese and Japanese, between which a line may end."""
 _OPENING = "\uff08\u300a\u300c\u201c"

@@ -25,13 +25,16 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
 
     bl_label = "Start"
     bl_order = place(__name__)
-    bl_options = {"HIDE_HEADER"}
+    bl_options = set()
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Leave the header empty: without one, Blender draws the texts on the viewport, unreadable in some themes."""
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the box."""
         session, heads = running(), heads_in(context)
         character = None if heads else character_in(context)
-        layout = self.layout.box()
+        layout = self.layout
         column = layout.column(align=True)
         row = column.row(align=True)
         row.prop(

@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from window import Blender, GuiError, wait
 
 TAB = "Facemime"
@@ -20,7 +22,7 @@ value = [region.x, bpy.context.window.height - region.y - region.height, region.
 _CATEGORY = _REGION.format(kind="UI") + 'value = region.active_panel_category if region.width > 1 else ""\n'
 _PANELS = """
 panels = [cls for cls in bpy.types.Panel.__subclasses__() if getattr(cls, "bl_category", "") == "Facemime"]
-panels = [cls for cls in panels if cls.is_registered and "HIDE_HEADER" not in getattr(cls, "bl_options", ())]
+panels = [cls for cls in panels if cls.is_registered and cls.__name__ != "FACEMIME_PT_start"]
 for cls in panels:
     if not hasattr(cls, "watched"):
         cls.draw, cls.watched = watched(cls.__name__, cls.draw), True
@@ -49,8 +51,11 @@ for area in bpy.context.window.screen.areas:
 """
 _HEADER = 1.344
 """Height of a collapsed panel, in interface units."""
-_BOX, _STEPS = 6.6, 3.92
-"""Height of the box on top of the tab, and the middle of its large buttons, in interface units."""
+_BOX, _STEPS = 7.15, (4.9, 5.95, 7.6)
+"""Usual height of the box on top of the tab, and the middles of its large buttons without and with a file, and of the
+buttons below, in interface units."""
+_LINK, _FROM_RIGHT = "wm.url_open", 2.35
+"""Button at the right of a header, by which the first header is found, and its distance from the right."""
 _HAS_BOX = "hasattr(bpy.types, 'FACEMIME_PT_start')"
 _STEP = 0.75
 """Distance between probes, relative to the height of a button."""
@@ -139,8 +144,9 @@ class Sidebar:
         reach the middle, then column by column.
         """
         box, columns = self.box(), (0.45, 0.2, 0.8, 0.9)
-        for column in (0.25, 0.8) if self._box else ():
-            yield box.x + column * (box.width - self.unit), box.y + self.unit * _STEPS
+        for step in _STEPS if self._box else ():
+            for column in (0.25, 0.8):
+                yield box.x + column * (box.width - self.unit), box.y + self.unit * step
         rows = range(int((box.height / self.unit - self._top) / _STEP))
         middle, *others = columns
         first = [(middle, row) for row in rows[:10]] + [(column, row) for row in rows[:5] for column in others]
@@ -156,6 +162,7 @@ class Sidebar:
         """Collapse all panels but one by clicks on their headers; `children` also expands its subpanels."""
         box = self.box()
         self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 8, "--delay", 2, 4)
+        self._measure_box()
         panels, opened = self.panels(), self._open()
         self._top = self._box + 0.6 + _HEADER * (panels.index(name) + 1)
         if opened.intersection(panels) != {name}:
@@ -169,6 +176,15 @@ class Sidebar:
             for _ in range(1 + bool(self._open().intersection(below))):
                 self._click_header(panels.index(name), "ctrl")
             wait(lambda: self._open().issuperset(below), f"the subpanels of {name} expand", 10.0)
+
+    def _measure_box(self) -> None:
+        """Find the first header, as the box on top has as many lines as there is to say."""
+        box = self.box()
+        x = box.x + box.width - _FROM_RIGHT * self.unit
+        for step in np.arange(_BOX + 0.6, 3 * _BOX, 0.5) if self._box else ():
+            if _LINK in self.under_mouse(x, box.y + step * self.unit):
+                self._box = step - 0.6
+                return
 
     def scroll_down(self) -> None:
         """Scroll to the end of the tab by the wheel; `open_panel` scrolls back."""
@@ -229,12 +245,15 @@ class Sidebar:
         self.blender.redraw()
         self.blender.do(_PASTE)
         known = self._known.setdefault(name, [])
-        for place in (*known, *self.places()):
-            found = self.under_mouse(*place, keys)
-            if name in found:
-                known[:] = [place, *(other for other in known if other != place)][:_PLACES]
-                return place
-            seen.append(found)
+        for again in (False, True):
+            if again:  # the box on top may have become lower
+                self._top = max(self._top - 3.0, 1.0)
+            for place in (*known, *self.places()):
+                found = self.under_mouse(*place, keys)
+                if name in found:
+                    known[:] = [place, *(other for other in known if other != place)][:_PLACES]
+                    return place
+                seen.append(found)
         raise GuiError(f"No button of the sidebar is {name}; there are {sorted({*seen} - {_NOTHING})}")
 
     def press(self, name: str) -> None:

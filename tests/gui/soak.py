@@ -66,7 +66,7 @@ def soak(blender: Blender, minutes: float) -> dict:
     sidebar.press("bpy.ops.facemime.add_head")
     blender.do(_START.format(clip=str(blender.inside / "clip.mp4")))
     sidebar.open_panel("FACEMIME_PT_puppet")
-    sidebar.press("bpy.ops.facemime.puppet")
+    sidebar.press("bpy.ops.facemime.puppet(")
     blender.wait_for("counts() is not None and counts()[0] > 5")
     began, memory, cuts, away = time.monotonic(), [], 0, clip.with_suffix(".away")
     while time.monotonic() - began < 60.0 * minutes:

@@ -44,7 +44,7 @@ def test_three_clicks_lead_from_the_default_scene_to_a_moving_face_and_stop_stay
         for button in buttons:  # they stay where they are, and looking for them takes longer while the head moves
             sidebar.find(button)
         begun = blender.clicks
-        sidebar.press("bpy.ops.facemime.puppet")
+        sidebar.press("bpy.ops.facemime.puppet(")
         assert needed + blender.clicks - begun == 3
         stop = sidebar.find("bpy.ops.facemime.stop_puppet")
         key = "bpy.context.active_object.data.shape_keys.key_blocks[-1]"

@@ -47,7 +47,7 @@ def test_a_phone_drives_a_head_and_is_passed_on(blender, phone):
         blender.do(_SETTINGS.format(port=phone, output=other.getsockname()[1]))
         sidebar.open_panel("FACEMIME_PT_source")
         blender.shot("source")
-        sidebar.press("bpy.ops.facemime.puppet")
+        sidebar.press("bpy.ops.facemime.puppet(")
         decoder, opened = LiveLinkDecoder(), 0.0
         while opened < 0.3:
             (frame,) = decoder.decode(other.recv(4096))

@@ -39,7 +39,7 @@ def test_a_browser_finds_the_puppet_by_the_address_in_the_panel(blender):
     sidebar = Sidebar(blender)
     sidebar.press("bpy.ops.facemime.add_head")
     blender.do(_SETTINGS)
-    sidebar.press("bpy.ops.facemime.puppet")
+    sidebar.press("bpy.ops.facemime.puppet(")
     address = blender.wait_for(f"{_SERVER}.address")
     port = address.split(":")[2].split("/")[0]
     with connect(f"ws://127.0.0.1:{port}/{address.split('/')[3]}/stream", open_timeout=PATIENCE) as page:

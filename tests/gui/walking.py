@@ -71,7 +71,7 @@ def look_from_the_front(sidebar: Sidebar) -> None:
 
 def start(sidebar: Sidebar) -> None:
     """Click Start Puppet and wait until the head moves."""
-    sidebar.press("bpy.ops.facemime.puppet")
+    sidebar.press("bpy.ops.facemime.puppet(")
     sidebar.blender.wait_for(f"Session.current is not None and moved({HEAD}) > 1e-3")
 
 
