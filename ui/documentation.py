@@ -12,6 +12,7 @@ import bpy
 _MANUAL_FOLDER = Path(__file__).resolve().parents[1] / "manual"
 _WEBCAM, _OWN_HEAD, _TAKES = "tutorials/webcam.html", "tutorials/own_head.html", "takes.html"
 PANELS = {
+    "FACEMIME_PT_start": f"{_WEBCAM}#add-a-head",
     "FACEMIME_PT_head": _OWN_HEAD,
     "FACEMIME_PT_own_head": _OWN_HEAD,
     "FACEMIME_PT_parts": f"{_OWN_HEAD}#the-parts-of-a-character",

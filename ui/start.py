@@ -21,14 +21,14 @@ from .status import draw_progress, summary
 
 
 class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
-    """The requirements of a puppet, from top to bottom, with the next step as a large button."""
+    """The requirements of a puppet, from top to bottom, with the next step as a large button.
+
+    It has a header: Blender draws the texts of other panels on the viewport, where some themes make them unreadable.
+    """
 
     bl_label = "Start"
     bl_order = place(__name__)
     bl_options = set()
-
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """Leave the header empty: without one, Blender draws the texts on the viewport, unreadable in some themes."""
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the box."""
