@@ -19,6 +19,11 @@ _LARGEST_HEADER = 1 << 26
 _MOST_ITEMS = 100_000
 """Most boxes or elements that are read: sound and images start within the first seconds of a file."""
 
+_ALL_ITEMS = 10_000_000
+"""Most elements of a whole film: three blocks of sound to an image, at 60 images per second, for ten hours."""
+_FAULTS = (OSError, struct.error, IndexError, KeyError, ZeroDivisionError, OverflowError)
+"""What reading a damaged file raises."""
+_MATROSKA = b"\x1a\x45\xdf\xa3"
 _BOXES = {b"moov", b"trak", b"edts", b"mdia", b"minf", b"stbl"}
 """Boxes of MP4 that contain others; ISO/IEC 14496-12."""
 _HANDLERS = {b"vide": VIDEO, b"soun": SOUND}
@@ -54,23 +59,37 @@ def read_starts(path: Path) -> Starts:
         with path.open("rb") as file:
             head = file.read(8)
             size = file.seek(0, 2)
-            if head[:4] == b"\x1a\x45\xdf\xa3":
+            if head[:4] == _MATROSKA:
                 return _starts_of_matroska(file, size)
             return _starts_of_mp4(file, size) if head[4:] in (b"ftyp", b"moov", b"mdat", b"wide", b"free") else {}
-    except (
-        OSError,
-        struct.error,
-        IndexError,
-        KeyError,
-        ZeroDivisionError,
-        OverflowError,
-    ):  # the file is damaged, or no media
+    except _FAULTS:
         return {}
+
+
+def last_image(path: Path) -> float | None:
+    """Return the seconds from the first image of a file to the last, whatever its sound lasts.
+
+    It is None if the file was cut, or is of another kind than Matroska or WebM; those of other kinds that matter state
+    how many images they have.
+
+    Parameters
+    ----------
+    path : Path
+    """
+    try:
+        with path.open("rb") as file:
+            if file.read(4) != _MATROSKA:
+                return None
+            times = [time for kind, time in _blocks(file, file.seek(0, 2), _ALL_ITEMS) if kind == VIDEO]
+    except _FAULTS:
+        return None
+    return max(times) - times[0] if times else None
 
 
 def _starts_of_mp4(file: BinaryIO, size: int) -> Starts:
     """An edit list delays a track by an empty edit, in the unit of the movie; otherwise its first image may be late."""
-    unit, starts = 1, {}
+    unit = 1
+    starts: dict[str, float] = {}
     track: dict[bytes, bytes] = {}
 
     def finish() -> None:
@@ -139,48 +158,62 @@ def _boxes(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, bytes]
 
 
 def _starts_of_matroska(file: BinaryIO, size: int) -> Starts:
-    scale, number, kinds, cluster, starts = 1_000_000, 0, {}, 0, {}
-    for name, content in _elements(file, size):
+    starts: dict[str, float] = {}
+    for kind, time in _blocks(file, size, _MOST_ITEMS):
+        starts.setdefault(kind, time)
+        if len(starts) == len(_TYPES):
+            break
+    return starts
+
+
+def _blocks(file: BinaryIO, size: int, most: int) -> Iterator[tuple[str, float]]:
+    """Yield kind and time in seconds of the blocks of the first track of each kind of Matroska."""
+    scale, number, cluster = 1_000_000, 0, 0
+    kinds: dict[int, str] = {}
+    for name, content in _elements(file, size, most):
         if name == _SCALE:
             scale = int.from_bytes(content, "big")
         elif name == _TRACK_NUMBER:
             number = int.from_bytes(content, "big")
-        elif name == _TRACK_TYPE and (kind := _TYPES.get(int.from_bytes(content, "big"))) not in kinds.values():
-            kinds[number] = kind
+        elif name == _TRACK_TYPE:
+            kind = _TYPES.get(int.from_bytes(content, "big"))
+            if kind is not None and kind not in kinds.values():
+                kinds[number] = kind
         elif name == _TIMESTAMP:
             cluster = int.from_bytes(content, "big")
         elif name in _BLOCKS:
-            track, length = _number(content, 0, keep_length=False)
-            kind = kinds.get(track)
-            (relative,) = struct.unpack_from(">h", content, length)
-            if kind is not None:
-                starts.setdefault(kind, (cluster + relative) * scale * 1e-9)
-            if len(starts) == len([kind for kind in kinds.values() if kind is not None]):
-                break
-    return starts
+            track, place = _number(content, 0, keep_length=False)
+            (relative,) = struct.unpack_from(">h", content, place)
+            if track in kinds:
+                yield kinds[track], (cluster + relative) * scale * 1e-9
 
 
-def _elements(file: BinaryIO, size: int) -> Iterator[tuple[int, bytes]]:
-    """Yield ids and contents of the elements that matter, of blocks only the beginning."""
+def _elements(file: BinaryIO, size: int, most: int) -> Iterator[tuple[int, bytes]]:
+    """Yield ids and contents of the elements that matter, of blocks only the beginning.
+
+    Raises struct.error at the end of a file that ends before an element does; a recording of a browser states no ends.
+    """
     inside = (_SEGMENT, _INFO, _TRACKS, _TRACK, _CLUSTER, _GROUP)
     wanted = (_SCALE, _TRACK_NUMBER, _TRACK_TYPE, _TIMESTAMP, *_BLOCKS)
-    place = 0
-    for _ in range(_MOST_ITEMS):
+    place = end = 0
+    for _ in range(most):
         file.seek(place)
         head = file.read(12)
         if len(head) < 2:
-            return
+            break
         name, first = _number(head, 0, keep_length=True)
         length, second = _number(head, first, keep_length=False)
         place += second
+        if name not in inside or length < (1 << 7 * (second - first)) - 1:
+            end = max(end, place + length)
         if name in inside:
             continue
         if name in wanted:
             file.seek(place)
             yield name, file.read(min(length, 16))
         place += length
-        if place > size:
-            return
+    if end > size:
+        raise struct.error("an element ends after the file")
 
 
 def _number(data: bytes, place: int, *, keep_length: bool) -> tuple[int, int]:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.media_starts import SOUND, VIDEO, read_starts, sound_lead
+from facemime.core.media_starts import SOUND, VIDEO, last_image, read_starts, sound_lead
 
 
 def box(name: bytes, *content: bytes) -> bytes:
@@ -85,6 +85,18 @@ def test_a_file_that_states_none_has_no_lead(content, tmp_path):
     assert sound_lead(Path("no such file")) == 0.0
 
 
+@pytest.mark.parametrize("unknown", [False, True])
+def test_the_last_image_is_found_under_longer_sound_unless_the_file_was_cut(unknown, tmp_path):
+    blocks = [(0, 2, 0), (400, 1, 80), (2000, 1, 40), (2000, 1, 0), (2000, 2, 0), (9000, 2, 0)]
+    path, content = tmp_path / "a.mkv", matroska(blocks, unknown=unknown)
+    path.write_bytes(content)
+    assert last_image(path) == pytest.approx(1.56)
+    path.write_bytes(content[:-6])
+    assert last_image(path) is None
+    path.write_bytes(movie(track(b"vide", [])))
+    assert last_image(path) is None
+
+
 @given(st.sampled_from([content for content, *_ in FILES.values()]), st.data())
 def test_damaged_files_raise_nothing(content, data):
     damaged = bytearray(content[: data.draw(st.integers(0, len(content)))])
@@ -95,3 +107,4 @@ def test_damaged_files_raise_nothing(content, data):
         file.write(bytes(damaged))
         file.flush()
         sound_lead(Path(file.name))
+        last_image(Path(file.name))
