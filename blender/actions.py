@@ -169,6 +169,10 @@ def _push(
 ) -> None:
     """Write the curves to a new action on a new track; the owner's active action is kept."""
     data = owner.animation_data or owner.animation_data_create()
+    if not data.use_nla:  # the user has turned all tracks off
+        for other in data.nla_tracks:
+            other.mute = True
+        data.use_nla = True
     track = data.nla_tracks.new()
     track.name = TRACK  # Blender numbers it if the name is taken: strips on one track must not overlap
     strip = track.strips.new(name, int(np.floor(frames[0])), bpy.data.actions.new(name))

@@ -1,8 +1,10 @@
-"""Collections in a view layer."""
+"""Collections in a view layer, and objects that they or something else hides."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from typing import Any
 
 import bpy
 
@@ -12,3 +14,63 @@ def collections_in(place: bpy.types.LayerCollection) -> Iterator[bpy.types.Layer
     for child in place.children:
         yield child
         yield from collections_in(child)
+
+
+@contextmanager
+def revealed(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
+    """Make objects visible and selectable in the view layer for a while, with the collections that have them.
+
+    Blender evaluates and selects only what is visible.
+
+    Parameters
+    ----------
+    objects : sequence of bpy.types.Object
+    """
+    layer, scene = bpy.context.view_layer, bpy.context.scene
+    wanted = set(objects)
+    with ExitStack() as stack:
+        for place in collections_in(layer.layer_collection):
+            if wanted.intersection(place.collection.all_objects):
+                set_for_now(stack, place, "exclude", False)
+                set_for_now(stack, place, "hide_viewport", False)
+                for name in ("hide_viewport", "hide_select"):
+                    set_for_now(stack, place.collection, name, False)
+        for obj in objects:
+            if obj.name not in layer.objects:  # of another scene
+                scene.collection.objects.link(obj)
+                stack.callback(scene.collection.objects.unlink, obj)
+            for name in ("hide_viewport", "hide_select"):
+                set_for_now(stack, obj, name, False)
+        layer.update()
+        for obj in objects:
+            if obj.hide_get():
+                obj.hide_set(False)
+                stack.callback(_hide, obj)
+        yield
+
+
+def set_for_now(stack: ExitStack, owner: Any, name: str, value: Any) -> None:
+    """Set a property until a stack ends.
+
+    Parameters
+    ----------
+    stack : contextlib.ExitStack
+    owner : bpy_struct
+    name : str
+        Name of the property.
+    value
+    """
+    before = getattr(owner, name)
+    if before != value:
+        stack.callback(_restore, owner, name, before)
+        setattr(owner, name, value)
+
+
+def _restore(owner: Any, name: str, value: Any) -> None:
+    with suppress(ReferenceError):  # it was deleted
+        setattr(owner, name, value)
+
+
+def _hide(obj: bpy.types.Object) -> None:
+    with suppress(ReferenceError):
+        obj.hide_set(True)

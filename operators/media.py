@@ -9,9 +9,10 @@ from ..blender.media.reference import add_reference
 from ..blender.media.sound import add_sound
 from ..blender.timeline import rate_of
 from ..core.errors import SourceError
+from ..core.media_starts import sound_lead
 from ..settings import takes_store
 from ..settings.values import take_start
-from .shared import AsksForFile, heads_in, require_heads
+from .shared import AsksForFile, heads_in, report, require_heads
 from .takes import OnTake
 
 
@@ -51,7 +52,10 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
         scene = context.scene
         path, offset = self.video(scene)
         sound = path if self.filepath else takes_store.sound_beside(path)
-        add_sound(scene, sound, take_start(scene) - offset * rate_of(scene))
+        add_sound(scene, sound, take_start(scene) - (offset + sound_lead(sound)) * rate_of(scene))
+        if scene.sync_mode != "AUDIO_SYNC":
+            scene.sync_mode = "AUDIO_SYNC"
+            report(self, "The playback of the scene is now synced to its sound")
 
 
 class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):

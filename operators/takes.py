@@ -111,7 +111,9 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         else:
             context.window_manager.facemime.recorded = ""
             with reporting_range(self, context.scene):
-                TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
+                show = TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
+            for warning in show.warnings:
+                report(self, warning, "WARNING")
 
 
 class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):

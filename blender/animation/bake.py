@@ -191,13 +191,14 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     bpy.context.view_layer.update()
 
 
+def pose_targets_of(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
+    """Return everything that a bake of `obj` poses. Parameters are as for `check_bakeable`."""
+    return [*carried_targets(obj, targets["head"]), *(target for _, target in _part_targets(obj, targets))]
+
+
 def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
     """Return everything that a bake of `obj` may pose, including `obj` itself, which an earlier bake may have posed."""
-    return [
-        PoseTarget(obj),
-        *carried_targets(obj, targets["head"]),
-        *(target for _, target in _part_targets(obj, targets)),
-    ]
+    return [PoseTarget(obj), *pose_targets_of(obj, targets)]
 
 
 def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
-from typing import Any
 
 import bpy
 import numpy as np
 
 from ...core.errors import OutputError
-from ..collections import collections_in
+from ..collections import revealed, set_for_now
 from ..muting import mute_for_now
 from .bake_keys import key_points, scaled_offsets, value_path
 
@@ -36,7 +35,7 @@ def selected_for_export(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
     with ExitStack() as stack:
         stack.callback(_select, selected, active)
-        _reveal(stack, objects)
+        stack.enter_context(revealed(objects))
         _select(objects, objects[0])
         if missing := [obj.name for obj in objects if not obj.select_get()]:
             names = ", ".join(missing)
@@ -78,8 +77,8 @@ def _show_muted(stack: ExitStack, keys: bpy.types.Key) -> None:
     muted = [key for key in keys.key_blocks if key.mute]
     mute_for_now(stack, keys, {value_path(key.name) for key in muted})
     for key in muted:
-        _set(stack, key, "value", 0.0)
-        _set(stack, key, "mute", False)
+        set_for_now(stack, key, "value", 0.0)
+        set_for_now(stack, key, "mute", False)
 
 
 def _write_offsets(stack: ExitStack, obj: bpy.types.Object) -> None:
@@ -96,39 +95,8 @@ def _write_offsets(stack: ExitStack, obj: bpy.types.Object) -> None:
     for key, old, new in zip(limited, before, shown, strict=True):
         stack.callback(key.points.foreach_set, "co", np.ascontiguousarray(old).reshape(-1))
         key.points.foreach_set("co", np.ascontiguousarray(new, dtype=np.float32).reshape(-1))
-        _set(stack, key, "vertex_group", "")
-        _set(stack, key, "relative_key", basis)
+        set_for_now(stack, key, "vertex_group", "")
+        set_for_now(stack, key, "relative_key", basis)
     if limited:
         stack.callback(obj.data.update_tag)
         obj.data.update_tag()
-
-
-def _reveal(stack: ExitStack, objects: Sequence[bpy.types.Object]) -> None:
-    """Make objects visible and selectable in the view layer, with the collections that have them."""
-    layer, scene = bpy.context.view_layer, bpy.context.scene
-    wanted = set(objects)
-    for place in collections_in(layer.layer_collection):
-        if wanted.intersection(place.collection.all_objects):
-            _set(stack, place, "exclude", False)
-            _set(stack, place, "hide_viewport", False)
-            for name in ("hide_viewport", "hide_select"):
-                _set(stack, place.collection, name, False)
-    for obj in objects:
-        if obj.name not in layer.objects:  # of another scene
-            scene.collection.objects.link(obj)
-            stack.callback(scene.collection.objects.unlink, obj)
-        for name in ("hide_viewport", "hide_select"):
-            _set(stack, obj, name, False)
-    layer.update()
-    for obj in objects:
-        if obj.hide_get():
-            obj.hide_set(False)
-            stack.callback(obj.hide_set, True)
-
-
-def _set(stack: ExitStack, owner: Any, name: str, value: Any) -> None:
-    """Set a property until the stack ends."""
-    before = getattr(owner, name)
-    if before != value:
-        stack.callback(setattr, owner, name, before)
-        setattr(owner, name, value)

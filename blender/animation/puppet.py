@@ -27,7 +27,7 @@ from ..meshes import driven_by_keys, key_names, mesh_of
 from ..muting import Silenced, name_them
 from ..rigs import read_rig
 from ..timeline import frames_of
-from .bake import Targets, bake_pose, check_bakeable, check_range, remove_baked
+from .bake import Targets, bake_pose, check_bakeable, check_range, pose_targets_of, remove_baked
 from .bake_cache import bake_cache, export_alembic, with_name_of
 from .bake_keys import (
     MeshKeys,
@@ -37,6 +37,7 @@ from .bake_keys import (
     moving_key_names,
     read_keys,
 )
+from .overruled import overruled
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
 from .underneath import mute_disturbing, playing_under
@@ -159,7 +160,8 @@ def puppet_head(
             parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
     error = plan.error / unit + (bake.clean if plan.keys else 0.0)
-    notes = tuple(filter(None, [_what_was_muted(silenced), outside_range(scene, whole)]))
+    hidden = overruled(pose_targets_of(obj, targets), **follow)
+    notes = tuple(filter(None, [_what_was_muted(silenced), *hidden, outside_range(scene, whole)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))
     return PuppetReport(plan.keys, error, neutral, motion, others, start, notes)
 

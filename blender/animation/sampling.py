@@ -19,6 +19,7 @@ from ...core.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_dis
 from ...core.takes.from_animation import FacePoints, PointTracker, describe_animation
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix
+from ..collections import revealed
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import exists, eye_vertices, key_names, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
@@ -81,7 +82,8 @@ class Sampling:
         scene = self._scene
         current = scene.frame_current, scene.frame_subframe
         try:
-            with _only_deformed(self._face.objects):
+            hidden = [obj for obj in self._face.objects if not obj.visible_get()]
+            with revealed(hidden), _only_deformed(self._face.objects):
                 for frame in self.frames:
                     scene.frame_set(frame)
                     self._sample((frame - self.frames[0]) / self._rate)

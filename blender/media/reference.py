@@ -30,8 +30,10 @@ def add_reference(
     path : Path
         The video.
     offset : float
-        Time in the video at frame 1 of the scene, seconds.
+        Time in the video at the frame `start` of the scene, seconds.
     head : bpy.types.Object
+    start : float
+        Frame of the scene at 0 s of the take.
 
     Raises
     ------
@@ -39,14 +41,13 @@ def add_reference(
         If the video cannot be read.
     """
     with VideoSource(path) as video:
-        fps, turn = video.fps, video.turn
+        turn = video.turn
     image = bpy.data.images.load(str(path), check_existing=True)
     image.source = "MOVIE"
     empty = bpy.data.objects.new(f"{path.stem} Reference", None)
     empty.empty_display_type, empty.data = "IMAGE", image
-    user = empty.image_user
-    user.use_auto_refresh, user.frame_start, user.frame_duration = True, 1, image.frame_duration
-    _keep_in_step(empty, image.frame_duration, fps, rate_of(scene), offset)
+    empty.image_user.use_auto_refresh = True
+    _keep_in_step(scene, empty, _rate_in_blender(path), offset, start)
     width, height = image.size
     turned = bpy.app.version < _ROTATES_VIDEOS
     if turned and turn % 180:
@@ -56,11 +57,27 @@ def add_reference(
     return empty
 
 
-def _keep_in_step(empty: bpy.types.Object, count: int, fps: float, rate: float, offset: float) -> None:
-    """Show frame (t + offset) fps of the `count` frames at t seconds, in a scene of `rate` frames per second."""
-    frames = np.arange(1, max(2, int(np.ceil((count / fps - offset) * rate)) + 1))
-    shown = np.round((frames - 1) / rate * fps + offset * fps) - (frames - 1)
-    empty.image_user.frame_offset = int(shown[0])
+def _rate_in_blender(path: Path) -> float:
+    """Return the frames per second by which Blender numbers the images of a video.
+
+    Blender takes an image's number for a time, and shows what is on display then. For a video with a variable rate,
+    this rate is not the average that OpenCV states.
+    """
+    clip = bpy.data.movieclips.load(str(path))
+    try:
+        return float(clip.fps)
+    finally:
+        bpy.data.movieclips.remove(clip)
+
+
+def _keep_in_step(scene: bpy.types.Scene, empty: bpy.types.Object, fps: float, offset: float, start: float) -> None:
+    """Show the image of the time t + offset at t seconds after the frame `start` of a scene."""
+    count, rate, user = empty.data.frame_duration, rate_of(scene), empty.image_user
+    first = int(np.floor(start))
+    frames = np.arange(first, max(first + 1, int(np.ceil(start + (count / fps - offset) * rate))) + 1)
+    shown = np.round(((frames - start) / rate + offset) * fps) - (frames - first)
+    # Blender adds the offset to the frame within this span of the scene, in which it stays.
+    user.frame_start, user.frame_duration, user.frame_offset = first, len(frames), int(shown[0])
     if np.ptp(shown) > 0:
         write_curves(empty, empty.name, frames, [Curve("image_user.frame_offset", 0, shown)])
 

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from ..capture import VideoSource
+from ..media_starts import last_image
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter
@@ -76,10 +77,29 @@ def track_video(
                     recorder.info["interrupted"] = True
                     break
             else:
-                stated = source.frame_count / source.fps
-                if len(recorder) < _COMPLETE * source.frame_count and frame.time < _COMPLETE * stated:
-                    missing = f"{stated - frame.time:.2f} s after {frame.time:.2f} s"
+                if (lost := _lost_after(source, len(recorder), frame.time)) > 0.0:
+                    missing = f"{lost:.2f} s after {frame.time:.2f} s"
                     recorder.info["recovered"] = f"The video was cut or damaged. Missing: {missing}."
         except KeyboardInterrupt:
             recorder.info["interrupted"] = True
         return recorder
+
+
+def _lost_after(source: VideoSource, count: int, last: float) -> float:
+    """Return how many seconds of a video are missing after the last image that was read; 0 if it is complete.
+
+    Parameters
+    ----------
+    source : VideoSource
+    count : int
+        How many images were read.
+    last : float
+        Time of the last one.
+    """
+    stated = source.frame_count / source.fps
+    if count >= _COMPLETE * source.frame_count or last >= _COMPLETE * stated:
+        return 0.0
+    # Some files state only how long they last, which may be how long their sound does.
+    images = last_image(source.path)
+    stated = stated if images is None else images
+    return max(0.0, stated - last) if last < _COMPLETE * stated else 0.0

@@ -3,8 +3,11 @@
 import bpy
 import numpy as np
 import pytest
+from hiding import HIDING
+from thorough import first_of
 
 from commands import run
+from facemime.blender.animation.sampling import Sampling
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks
 from facemime.core.bake.arkit import arkit_coefficients
@@ -119,3 +122,15 @@ def test_the_command_reports_a_head_that_does_not_move(tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "still.blend"))
     done = run("import", tmp_path / "still.blend", "-o", tmp_path / "take.facetake")
     assert done.returncode == 1 and "does not move" in done.stderr and not (tmp_path / "take.facetake").exists()
+
+
+@pytest.mark.parametrize("hide", first_of(HIDING, 2))
+def test_a_head_is_sampled_however_it_is_hidden_and_stays_so(hide, animated):
+    HIDING[hide]([animated, *animated.children])
+    bpy.context.view_layer.update()
+    sampling = Sampling(bpy.context.scene, animated, "hidden")
+    for _ in sampling:
+        pass
+    check(sampling.take())
+    bpy.context.view_layer.update()
+    assert animated.visible_get() == hide.endswith("unselectable")

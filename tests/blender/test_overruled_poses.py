@@ -1,0 +1,73 @@
+"""A bake says what keeps its pose from being seen: Rest Position, and constraints over the pose."""
+
+import bpy
+import pytest
+from characters import make_character
+
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.heads.binding import bind_character
+from facemime.blender.heads.built_in import add_head
+from facemime.core.puppet.settings import PuppetSettings
+from facemime.sessions.show import TakeShow
+from takes import performance
+
+
+def warnings_of(head, **settings):
+    report = puppet_head(bpy.context.scene, head, performance(), PuppetSettings(**settings))
+    return [warning for warning in report.warnings if "pose" in warning]
+
+
+@pytest.fixture
+def rigged():
+    """A character whose head is turned by a bone."""
+    head, _ = bind_character(make_character(rig=True)["head"])
+    return head, head.parent
+
+
+def target():
+    empty = bpy.data.objects.new("Target", None)
+    bpy.context.scene.collection.objects.link(empty)
+    return empty
+
+
+def test_nothing_is_said_of_a_pose_that_is_seen(rigged):
+    head, armature = rigged
+    constraint = armature.pose.bones["Head"].constraints.new("COPY_LOCATION")
+    constraint.target = target()
+    assert warnings_of(head) == []
+    assert any("Head (Copy Location)" in warning for warning in warnings_of(head, translation=True))
+
+
+def test_rest_position_is_said(rigged):
+    head, armature = rigged
+    armature.data.pose_position = "REST"
+    (warning,) = warnings_of(head)
+    assert warning.startswith(f"{armature.name} is in Rest Position")
+
+
+@pytest.mark.parametrize("kind", ["TRACK_TO", "COPY_ROTATION", "DAMPED_TRACK", "COPY_TRANSFORMS", "LIMIT_ROTATION"])
+@pytest.mark.parametrize("of_bone", [True, False])
+def test_a_constraint_over_the_pose_is_named(kind, of_bone, rigged):
+    head, owner = (rigged[0], rigged[1].pose.bones["Head"]) if of_bone else [add_head(bpy.context)] * 2
+    constraint = owner.constraints.new(kind)
+    if kind != "LIMIT_ROTATION":
+        constraint.target = target()
+    (warning,) = warnings_of(head)
+    assert f"{owner.name} ({constraint.name})" in warning
+    constraint.mute = True
+    assert warnings_of(head) == []
+
+
+def test_a_constraint_that_adds_to_the_pose_is_not_named(rigged):
+    head, armature = rigged
+    constraint = armature.pose.bones["Head"].constraints.new("COPY_ROTATION")
+    constraint.target, constraint.mix_mode = target(), "AFTER"
+    assert warnings_of(head) == []
+
+
+def test_a_preview_says_it_too(rigged):
+    head, armature = rigged
+    armature.data.pose_position = "REST"
+    show = TakeShow(bpy.context.scene, [head], performance())
+    assert [warning for warning in show.warnings if "Rest Position" in warning]
+    show.close()
