@@ -98,8 +98,12 @@ def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> N
     for owner, (action, handle) in clips[name].actions.items():
         data = owner.animation_data_create()
         data.action = action
-        if handle and hasattr(data, "action_slot_handle"):
+        if not hasattr(data, "action_slot_handle"):  # up to Blender 4.3
+            continue
+        if handle:
             data.action_slot_handle = handle
+        elif data.action_slot is None and len(data.action_suitable_slots):
+            data.action_slot = data.action_suitable_slots[0]
 
 
 def _handle(user: bpy.types.AnimData | bpy.types.NlaStrip) -> int:

@@ -37,6 +37,8 @@ _IMPORTERS: Mapping[str, Callable[..., object]] = {
     ".ply": lambda path: bpy.ops.wm.ply_import(filepath=path),
     ".stl": lambda path: bpy.ops.wm.stl_import(filepath=path),
 }
+_WHOLE = (".glb", ".vrm", ".fbx", ".abc", ".ply", ".stl", ".obj")
+"""Suffixes of files that refer to no other files, and hold a vertex in no less than a byte."""
 _WITH_RANGE = (".abc", ".usd", ".usda", ".usdc", ".usdz")
 """Suffixes of files whose importers set the range of the scene."""
 CUTS: Mapping[str, Callable[[bpy.types.Object], int]] = {"open_lips": open_lips, "open_eyes": open_eyes}
@@ -111,9 +113,16 @@ def open_file(path: Path) -> None:
             f"{path} cannot be imported by this version of Blender ({_reason(error)}). Export it again, or use a "
             ".blend file."
         ) from error
+    _require_plausible(path)
     # The importers of other files than Alembic and USD leave the range of the scene as it is.
     if (clips := clips_of(owners_of(bpy.data.objects))) and suffix not in _WITH_RANGE:
         set_frames(clips)
+
+
+def _require_plausible(path: Path) -> None:
+    """Raise SourceError if more was imported than a file of this size can hold, as a damaged one may claim."""
+    if path.suffix.lower() in _WHOLE and sum(len(mesh.vertices) for mesh in bpy.data.meshes) > path.stat().st_size:
+        raise SourceError(f"{path} claims to have more vertices than bytes. It is damaged; export it again.")
 
 
 def set_frames(clips: Mapping[str, Clip]) -> None:

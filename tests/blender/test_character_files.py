@@ -244,3 +244,32 @@ def test_an_avatar_is_driven_by_its_own_expressions(tmp_path, version):
         shown.append(jaw.value)
     assert np.ptp(shown) > 0.2
     assert not [key.name for key in keys.key_blocks if key.name.startswith("Facemime")]
+
+
+def test_further_takes_of_an_fbx_file_which_blender_leaves_unassigned_can_be_played(tmp_path):
+    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.scene.collection.objects.link(rig)
+    bpy.context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    rig.data.edit_bones.new("Head").tail = (0.0, 0.0, 0.1)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    bone, data = rig.pose.bones["Head"], rig.animation_data_create()
+    bone.rotation_mode = "XYZ"
+    for name, turn in (("Nod", 0.3), ("Shake", -0.3)):
+        data.action = action = bpy.data.actions.new(name)
+        for frame, angle in ((1, 0.0), (10, turn)):
+            bone.rotation_euler.y = angle
+            bone.keyframe_insert("rotation_euler", frame=frame)
+        track = data.nla_tracks.new()
+        track.name, data.action = name, None
+        track.strips.new(name, 1, action)
+    bpy.ops.export_scene.fbx(filepath=str(tmp_path / "two.fbx"), bake_anim_use_all_actions=False)
+    open_file(tmp_path / "two.fbx")
+    owners = owners_of(bpy.data.objects)
+    clips = clips_of(owners)
+    assert list(clips) == ["Nod", "Shake"] and sum(clip.plays for clip in clips.values()) == 1
+    bone = bpy.data.objects["Rig"].pose.bones["Head"]
+    for name, turn in (("Nod", 0.3), ("Shake", -0.3), ("Nod", 0.3)):
+        play(clips, name, owners)
+        bpy.context.scene.frame_set(clips[name].frames[1])
+        assert bone.matrix_basis.to_euler().y == pytest.approx(turn, abs=1e-4)

@@ -110,7 +110,9 @@ def _head_arrays() -> Arrays:
     faces = np.array([[0, 1, 2, -1], [3, 4, 5, 6]], np.int16)
     arrays |= {"faces": faces, "uv": arrays["uv"][:2]}
     for part in PART_NAMES:
-        arrays |= {f"{part}.vertices": arrays[f"{part}.vertices"][:7], f"{part}.units": arrays[f"{part}.units"][:, :7]}
+        arrays |= {f"{part}.vertices": arrays[f"{part}.vertices"][:7]}
+        if (units := f"{part}.units") in arrays:  # hair and other parts on the skull have none
+            arrays[units] = arrays[units][:, :7]
         arrays |= {f"{part}.faces": faces, f"{part}.uv": arrays[f"{part}.uv"][:2]}
     return arrays
 

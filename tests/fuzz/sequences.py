@@ -14,6 +14,7 @@ import io
 import sys
 import threading
 import traceback
+import webbrowser
 from contextlib import redirect_stderr
 from pathlib import Path
 
@@ -86,6 +87,7 @@ def main(arguments: list[str]) -> None:
     first, count, steps = (int(argument) for argument in arguments[:3])
     files = Files(Path(arguments[3]))
     facemime.register()
+    webbrowser.open = lambda *_, **__: True  # nobody is there to look at a browser
     try:
         PacedSource.pace = AskedClock()
         for seed in range(first, first + count):

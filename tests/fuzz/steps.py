@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+
 import bpy
 import numpy as np
 
@@ -87,6 +88,11 @@ def new_file(suffix: str) -> Callable[[Stage], str]:
     return lambda stage: str(stage.files.out / f"{stage.rng.integers(4)}{suffix}")
 
 
+def any_object(stage: Stage) -> str:
+    """Choose the name of an object, or of none."""
+    return getattr(stage.any_of([*bpy.data.objects, None]), "name", "none")
+
+
 def tick(stage: Stage) -> None:
     """Send frames, ticks of the timer, a click, or the change of a slider."""
     settings, steps = bpy.context.scene.facemime, bpy.context.scene.facemime_steps
@@ -162,6 +168,28 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "learn_key_map": press("learn_key_map"),
     "add_reference": press("add_reference"),
     "import_facegen": press("import_facegen", filepath=file("facegen")),
+    "bind_keys": press("bind_keys"),
+    "mark_face": press("mark_face", points=one_of("", "36,39,48,8")),
+    "pick_landmark": press("pick_landmark"),
+    "adjust_landmarks": press("adjust_landmarks"),
+    "accept_points": press("accept_points"),
+    "discard_points": press("discard_points"),
+    "find_parts": press("find_parts"),
+    "add_part": press("add_part", part=one_of("ON_HEAD", "ON_SKIN", "EYE_LEFT", "TEETH_LOWER")),
+    "set_part": press("set_part", part=one_of("SKIN", "ON_HEAD", "EYE_RIGHT"), name=any_object),
+    "remove_part": press("remove_part", name=any_object),
+    "set_bone": press("set_bone", target=one_of("head", "eye_right", "eye_left")),
+    "make_expression_keys": press("make_expression_keys", keys=one_of("vrm", "oculus")),
+    "mute_others": press("mute_others"),
+    "take_from_animation": press("take_from_animation"),
+    "export_gltf": press("export_gltf", filepath=new_file(".glb")),
+    "add_sound": press("add_sound"),
+    "stop_tracking": press("stop_tracking"),
+    "clear_calibrations": press("clear_calibrations"),
+    "choose_camera": press("choose_camera", camera=one_of("0", "none")),
+    "open_viewer": press("open_viewer"),
+    "copy_viewer_address": press("copy_viewer_address"),
+    **{name: press(name) for name in (f"finish_parts_{number}" for number in range(7))},
     "tick": tick,
 }
 
