@@ -16,7 +16,7 @@ from ..core.images import write_image
 from ..core.puppet.job import HeadFile
 from ..core.settings import settings_of
 from ..core.streams.sender import turned_from
-from ..core.takes.coefficient_table import from_any_csv, write_coefficient_csv
+from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, from_any_csv, write_coefficient_csv
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import mend
@@ -154,7 +154,13 @@ def add_commands(commands: Commands) -> None:
     )
     add_output(read, "OUT.facetake", "the take")
     read.add_argument("--clip", default="", metavar="NAME", help="the clip of an animation to sample (what plays)")
-    read.set_defaults(run=lambda given: run_import(given["source"], given["output"], given["clip"]))
+    read.add_argument(
+        "--angles",
+        choices=(AUTOMATIC, RADIANS, DEGREES),
+        default=AUTOMATIC,
+        help="unit of the rotation of the head in a table (decided by its values)",
+    )
+    read.set_defaults(run=lambda given: run_import(*(given[name] for name in ("source", "output", "clip", "angles"))))
 
 
 def run_mend(job: MendJob) -> int:
@@ -228,7 +234,7 @@ def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bo
     write_coefficient_csv(output, seen.times, values, turns, live_link=live_link, rate=rate)
 
 
-def run_import(source: HeadFile, output: Path, clip: str = "") -> int:
+def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUTOMATIC) -> int:
     """Run `facemime import`: write a table, or the motion of a face in an animation, as a take.
 
     Parameters
@@ -239,6 +245,8 @@ def run_import(source: HeadFile, output: Path, clip: str = "") -> int:
         File for the take.
     clip : str
         Name of the clip of an animation; by default what plays in the file.
+    angles : str
+        Unit of the rotation of the head in a table.
     """
     is_table = source.path.suffix.lower() == ".csv"
     if is_table and clip:
@@ -246,7 +254,10 @@ def run_import(source: HeadFile, output: Path, clip: str = "") -> int:
     described = "the table that is imported" if is_table else "the animation that is imported"
     with outputs_of(((output, {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        save_take(from_any_csv(source.path) if is_table else _sampled(source, clip), output)
+        take = from_any_csv(source.path, angles) if is_table else _sampled(source, clip)
+        save_take(take, output)
+    for note in take.info.get("notes", []):
+        tell(f"facemime: {note}")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import numpy as np
@@ -63,9 +64,13 @@ def _spellings() -> dict[str, int]:
     return found
 
 
+_PREFIX = re.compile(r"^.*[.|:/]")
 SPELLINGS: Mapping[str, int] = _spellings()
 
 
 def column_of(name: str) -> int | None:
-    """Return the column of a coefficient by any of its usual names, or None for other names."""
-    return SPELLINGS.get(name.lower())
+    """Return the column of a coefficient by any of its usual names, or None for other names.
+
+    A prefix such as that of a node, as in `blendShapes.EyeBlinkLeft` or `Head|jawOpen`, does not matter.
+    """
+    return SPELLINGS.get(_PREFIX.sub("", name).lower())

@@ -5,12 +5,12 @@ from contextlib import closing
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import StringProperty
+from bpy.props import EnumProperty, StringProperty
 
 from ..blender.animation.sampling import Sampling
 from ..core.errors import SourceError
 from ..core.live.sources import PacedSource
-from ..core.takes.coefficient_table import from_any_csv
+from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
 from ..sessions.countdown import COUNTDOWN
@@ -158,12 +158,24 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     bl_label = "Import Take"
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
+    angles: EnumProperty(
+        name="Angles",
+        description="Unit of the rotation of the head in a table",
+        items=(
+            (AUTOMATIC, "Automatic", "Decided by the values"),
+            (RADIANS, "Radians", "As Live Link Face writes them"),
+            (DEGREES, "Degrees", "As some other programs write them"),
+        ),
+    )
 
     def work(self, context: bpy.types.Context) -> None:
         """Read the file and add it to the list."""
         path = self.path
         if path.suffix.lower() == ".csv":
-            takes_store.keep(context.scene, from_any_csv(path), path.stem)
+            take = from_any_csv(path, self.angles)
+            takes_store.keep(context.scene, take, path.stem)
+            for note in take.info.get("notes", []):
+                report(self, str(note))
             return
         take = load_take(path)
         takes_store.add(context.scene, path, take)

@@ -6,11 +6,13 @@ Columns are found by name, as at least three orders are in use.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from dataclasses import replace
 from math import floor, isfinite, pi
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import FloatArray
 from ..capture import check_readable
@@ -22,17 +24,23 @@ from ..rotation import from_face_axes, to_face_axes
 from .from_animation import IMAGE_SIZE
 from .from_coefficients import coefficient_face
 from .spreadsheet import from_csv
+from .table_text import TextTable, read_table
 from .take import Take, TakeRecorder, describe
+from .timecodes import seconds_of_timecodes
 
 _MIN_NAMES = 10
 """Smallest number of known coefficients in a table of coefficients."""
 _MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
 _SECONDS = {"time": 1.0, "seconds": 1.0, "timestamp": 1.0, "time_s": 1.0, "timestamp_ms": 1e-3, "time_ms": 1e-3}
 """Columns of times, by name in lower case, and their unit in seconds."""
-_RATES = (24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 100.0, 120.0)
-_RATE, _APP_RATE = 30.0, 60.0
-"""Rates in Hz of a table without times, and of Live Link Face."""
+_RATE = 30.0
+"""Rate in Hz of a table without times."""
 _ANGLES = ("headyaw", "headpitch", "headroll")
+AUTOMATIC, RADIANS, DEGREES = "automatic", "radians", "degrees"
+_FURTHEST = np.radians([100.0, 80.0, 70.0])
+"""Yaw, pitch and roll, in radians, beyond which no head turns while its face is tracked."""
+_FEW, _SHORT = 0.02, 10
+"""Share of rows that may be left out, and rows below which none may: a table of a few rows is refused instead."""
 LIVE_LINK_ORDER: tuple[str, ...] = (
     *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
     *("eyeWideLeft", "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight"),
@@ -48,27 +56,36 @@ LIVE_LINK_ORDER: tuple[str, ...] = (
 _EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 
 
-def from_any_csv(path: Path) -> Take:
+def from_any_csv(path: Path, angles: str = AUTOMATIC) -> Take:
     """Read a table of either kind: of coefficients, or as written by `to_csv`; SourceError as for these."""
-    return from_coefficient_csv(path) if has_coefficients(path) else from_csv(path)
+    return from_coefficient_csv(path, angles) if has_coefficients(path) else from_csv(path)
 
 
 def has_coefficients(path: Path) -> bool:
     """Return whether a table's first line names coefficients; False for a file that cannot be read."""
     try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            head = next(csv.reader(stream), [])
+        return len(_columns(read_table(path, _is_known).head)) >= _MIN_NAMES
     except (OSError, ValueError, csv.Error):
         return False
-    return len(_columns(head)) >= _MIN_NAMES
 
 
-def from_coefficient_csv(path: Path) -> Take:
+def _is_known(title: str) -> bool:
+    return column_of(title) is not None or title.lower() in {"timecode", *_SECONDS, *_ANGLES}
+
+
+def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
     """Read a table with a row per frame and a column for each known coefficient.
 
     Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or milliseconds;
-    without either, rows are 1/30 s apart. `HeadYaw`, `HeadPitch` and `HeadRoll` are radians, or degrees if any exceeds
-    what a head can turn. Other columns are ignored, and missing coefficients are 0.
+    without either, rows are 1/30 s apart. Rows whose time does not increase are left out if they are few. `HeadYaw`,
+    `HeadPitch` and `HeadRoll` are radians, or degrees if any exceeds what a head can turn. Other columns are ignored,
+    and missing coefficients are 0. What was decided is in ``info["notes"]``.
+
+    Parameters
+    ----------
+    path : Path
+    angles : {"automatic", "radians", "degrees"}
+        Unit of the rotation of the head.
 
     Raises
     ------
@@ -79,8 +96,7 @@ def from_coefficient_csv(path: Path) -> Take:
     if not check_readable(path):
         raise SourceError(f"There is no table {path}. Check its name.")
     try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            return _take(csv.reader(stream), path.name)
+        return _take(read_table(path, _is_known), path.name, angles)
     except (ValueError, OSError, csv.Error) as error:
         raise SourceError(
             f"{path} cannot be read as a table of coefficients: {error}. Compare it with an exported one."
@@ -158,23 +174,28 @@ def _columns(head: Sequence[str]) -> dict[int, int]:
     return {column: place for column, place in found.items() if place is not None}
 
 
-def _take(lines: Iterator[list[str]], name: str) -> Take:
-    head = next(lines, [])
+def _take(table: TextTable, name: str, angles: str) -> Take:
+    head = table.head
     columns = _columns(head)
     if len(columns) < _MIN_NAMES:
         raise ValueError(f"only {len(columns)} of its columns are coefficients")
     if len(set(columns.values())) < len(columns):
         raise ValueError("two of its columns are the same coefficient")
     rows = []
-    for line in lines:
-        if any(line):
-            rows.append(line)
+    for line in table.lines:
+        rows.append(line)
         if len(rows) > _MAX_ROWS:
             raise ValueError(f"it has more than {_MAX_ROWS:,} rows")
     if not rows:
         raise ValueError("it has no rows")
     plain = [title.strip().lower() for title in head]
-    times = _times(rows, plain)
+    every, notes = _times(rows, plain), []
+    kept = _increasing(every)
+    times, rows = every[kept] - every[kept][0], [row for row, keep in zip(rows, kept, strict=True) if keep]
+    if not kept.all():
+        count, total = int((~kept).sum()), len(kept)
+        warning = f"{count} of {total} rows repeat an earlier time and were left out."
+        notes.append(warning)
     values = np.zeros((len(rows), N_COEFFICIENTS))
     for column, place in columns.items():
         values[:, place] = _numbers(rows, column, head[column])
@@ -182,9 +203,27 @@ def _take(lines: Iterator[list[str]], name: str) -> Take:
     for place, title in enumerate(_ANGLES):
         if title in plain:
             turns[:, place] = _numbers(rows, plain.index(title), title)
-    if np.abs(turns).max() > pi:
-        turns *= pi / 180.0
-    return _recorded(times, values, turns, name)
+    if turns.any():
+        unit = _unit(turns) if angles == AUTOMATIC else angles
+        turns *= pi / 180.0 if unit == DEGREES else 1.0
+        warning = f"The rotation of the head was read as {unit}."
+        notes.append(warning)
+    take = _recorded(times, values, turns, name)
+    return replace(take, info=take.info | ({"notes": notes} if notes else {}))
+
+
+def _unit(turns: FloatArray) -> str:
+    """Return the unit of yaw, pitch and roll of a head, (N, 3): radians, unless it would turn too far."""
+    return DEGREES if (np.abs(turns).max(axis=0) > _FURTHEST).any() else RADIANS
+
+
+def _increasing(times: FloatArray) -> NDArray[np.bool_]:
+    """Return (N,) which rows are later than all before; ValueError if too many are not."""
+    before = np.maximum.accumulate(np.concatenate([[-np.inf], times[:-1]]))
+    kept = times > before
+    if (~kept).sum() > max(_FEW * len(times), 1.0) or (len(times) < _SHORT and not kept.all()):
+        raise ValueError("its times do not increase")
+    return np.asarray(kept)
 
 
 def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, name: str) -> Take:
@@ -200,36 +239,23 @@ def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, name: st
 
 
 def _times(rows: list[list[str]], head: list[str]) -> FloatArray:
-    """Read the times of rows in seconds from the first row, (N,); they must increase."""
-    if "timecode" in head:
-        times = _timecodes([_cell(row, head.index("timecode")) for row in rows])
-    elif named := [title for title in head if title in _SECONDS]:
-        times = _SECONDS[named[0]] * _numbers(rows, head.index(named[0]), named[0])
-    else:
-        times = np.arange(len(rows)) / _RATE
-    times = np.asarray(times - times[0])
-    if (np.diff(times) <= 0.0).any():
-        raise ValueError("its times do not increase")
-    return times
+    """Read the times of rows in seconds, (N,)."""
+    place = head.index("timecode") if "timecode" in head else -1
+    if place >= 0 and not _is_number(_cell(rows[0], place)):
+        return seconds_of_timecodes([_cell(row, place) for row in rows])
+    if place >= 0:  # Audio2Face's column of that name has seconds
+        return _numbers(rows, place, "timecode")
+    if named := [title for title in head if title in _SECONDS]:
+        return np.asarray(_SECONDS[named[0]] * _numbers(rows, head.index(named[0]), named[0]))
+    return np.arange(len(rows)) / _RATE
 
 
-def _timecodes(texts: list[str]) -> FloatArray:
-    """Convert timecodes to seconds, (N,), also past midnight.
-
-    The rate is the lowest usual one that is above all frame numbers. In less than a second, where the numbers do not
-    show the rate, it is at least the app's.
-    """
+def _is_number(text: str) -> bool:
     try:
-        parts = np.array([[float(part) for part in text.split(":")] for text in texts], dtype=np.float64)
+        float(text)
     except ValueError:
-        parts = np.empty(0)
-    if parts.ndim != 2 or parts.shape[1] != 4 or not ((parts >= 0.0) & (parts < 200.0)).all():
-        raise ValueError(f"{shown(texts[0])} is not a timecode such as 10:20:30:12.500")
-    shows_rate = len(np.unique(parts[:, 2])) > 2
-    rate = next(rate for rate in (*_RATES, 200.0) if parts[:, 3].max() < rate and (shows_rate or rate >= _APP_RATE))
-    times = parts @ np.array([3600.0, 60.0, 1.0, 1.0 / rate])
-    days = np.cumsum(np.diff(times, prepend=times[0]) < -43_200.0)
-    return np.asarray(times + 86_400.0 * days)
+        return False
+    return True
 
 
 def _cell(row: list[str], column: int) -> str:

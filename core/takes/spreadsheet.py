@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from ..files import replacing
 from ..landmarks import IBUG68_INDICES
 from ..reading import shown
 from .format import info_content, info_of
+from .table_text import TextTable, read_table
 from .take import Take, check_take
 from .timing import project
 
@@ -45,6 +45,9 @@ def _columns(modes: int) -> dict[str, list[str]]:
         "landmark_confidence": [f"confidence_{n}" for n in numbers],
         "shape_params": [f"mode_{n}" for n in range(modes)],
     }
+
+
+_KNOWN = frozenset(name for names in _columns(0).values() for name in names)
 
 
 def to_csv(take: Take, path: Path) -> None:
@@ -95,25 +98,20 @@ def from_csv(path: Path) -> Take:
     if not check_readable(path):
         raise SourceError(f"There is no table {path}. Create one: facemime export TAKE -o {path.name}")
     try:
-        with open(path, newline="", encoding="utf-8-sig") as stream:
-            take = _read(csv.reader(stream))
+        take = _read(read_table(path, _KNOWN.__contains__, _NOTE))
         check_take(take)
     except (ValueError, OSError, csv.Error) as error:
         raise SourceError(f"{path} cannot be read as a take: {error}. Compare it with an exported one.") from error
     return take
 
 
-def _read(lines: Iterator[list[str]]) -> Take:
-    head = next(lines, [])
-    info: dict[str, Any] = {}
-    if head and head[0].startswith(_NOTE):
-        info = info_of(head[0][len(_NOTE) :].encode())[0]
-        head = next(lines, [])
-    place = {name: column for column, name in enumerate(head) if name}
+def _read(table: TextTable) -> Take:
+    info = info_of(table.note[len(_NOTE) :].encode())[0] if table.note else {}
+    place = {name: column for column, name in enumerate(table.head) if name}
     columns = _columns(sum(name.startswith("mode_") for name in place))
     if missing := [n for key in ("times", "pose", "shape") for n in columns[key] if n not in place]:
         raise ValueError(f"it has no column {missing[0]!r}")
-    cells = [line for line in lines if any(line)]
+    cells = list(table.lines)
     if not cells:
         raise ValueError("it has no rows")
     arrays = {name: _values(cells, names, place) for name, names in columns.items()}

@@ -103,6 +103,74 @@ def test_degrees_are_distinguished_from_radians(written):
     )
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-32", "cp1252"])
+@pytest.mark.parametrize(("separator", "comma"), [(",", False), (";", False), (";", True), ("\t", True), ("|", False)])
+def test_a_table_that_a_spreadsheet_saved_again_is_the_same(tmp_path, encoding, separator, comma):
+    times, values, turns = sines()
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, live_link=True)
+    rows = list(csv.reader((tmp_path / "a.csv").open()))
+    text = "\n".join(separator.join(cell.replace(".", ",") if comma else cell for cell in row) for row in rows)
+    (tmp_path / "b.csv").write_bytes(text.encode(encoding))
+    assert has_coefficients(tmp_path / "b.csv")
+    take = from_coefficient_csv(tmp_path / "b.csv")
+    np.testing.assert_allclose(take.times, times, atol=1e-5)
+    np.testing.assert_allclose(take.coefficients, values, atol=1e-7)
+
+
+def test_a_table_may_say_its_separator_in_the_first_line(tmp_path):
+    times, values, turns = sines()
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, live_link=True)
+    text = (tmp_path / "a.csv").read_text().replace(",", ";")
+    (tmp_path / "b.csv").write_text("sep=;\n" + text)
+    np.testing.assert_allclose(from_coefficient_csv(tmp_path / "b.csv").coefficients, values, atol=1e-7)
+
+
+@pytest.mark.parametrize("prefix", ["blendShapes.", "BS_node.", "Head|", "rig:", "Face/"])
+def test_the_prefix_of_a_node_does_not_matter(written, prefix):
+    head, *rows = GOLDEN.splitlines()
+    titles = [prefix + title if title[0] in "EJMTCBN" else title for title in head.split(",")]
+    take = from_coefficient_csv(written("\n".join([",".join(titles).replace(prefix + "Blend", "Blend"), *rows])))
+    assert take.coefficients[0, COEFFICIENT_INDEX["jawOpen"]] == pytest.approx(0.4)
+
+
+def test_seconds_in_a_column_of_timecodes_are_seconds(written):
+    names = [name[0].upper() + name[1:] for name in COEFFICIENTS]
+    rows = [",".join([f"{i / 30:.6f}", *["0.5"] * 52]) for i in range(30)]
+    take = from_coefficient_csv(written("\n".join([",".join(["timeCode", *names]), *rows])))
+    np.testing.assert_allclose(take.times, np.arange(30) / 30, atol=1e-5)
+
+
+def test_a_few_repeated_rows_are_left_out_and_said(tmp_path):
+    times, values, turns = sines(300)
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, live_link=True)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    (tmp_path / "b.csv").write_text("\n".join([*lines[:151], lines[150], lines[120], *lines[151:]]))
+    take = from_coefficient_csv(tmp_path / "b.csv")
+    np.testing.assert_allclose(take.times, times, atol=1e-5)
+    assert "2 of 302 rows" in take.info["notes"][0]
+    (tmp_path / "c.csv").write_text("\n".join([lines[0], *(line for line in lines[1:] for _ in range(2))]))
+    with pytest.raises(SourceError, match="do not increase"):
+        from_coefficient_csv(tmp_path / "c.csv")
+
+
+@pytest.mark.parametrize(("largest", "unit"), [(0.3, "radians"), (1.2, "radians"), (2.5, "degrees"), (25.0, "degrees")])
+def test_the_unit_of_angles_is_decided_over_the_whole_table_said_and_overridden(tmp_path, largest, unit):
+    times, values, _ = sines()
+    turns = np.zeros((len(times), 3))
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, live_link=True)
+    rows = list(csv.reader((tmp_path / "a.csv").open()))
+    yaw = rows[0].index("HeadYaw")
+    for i, row in enumerate(rows[1:]):
+        row[yaw] = f"{largest * np.sin(i / 6):.6f}"
+    (tmp_path / "b.csv").write_text("\n".join(map(",".join, rows)))
+    take = from_coefficient_csv(tmp_path / "b.csv")
+    assert unit in take.info["notes"][-1]
+    wanted = np.radians(largest) if unit == "degrees" else largest
+    assert np.abs(take.pose[:, 2]).max() == pytest.approx(wanted, rel=0.02)
+    other = from_coefficient_csv(tmp_path / "b.csv", "degrees")
+    assert np.abs(other.pose[:, 2]).max() == pytest.approx(np.radians(largest), rel=0.02)
+
+
 @pytest.mark.parametrize(
     ("text", "match"),
     [
