@@ -42,6 +42,9 @@ ARMATURE_PROPERTY, BONES_PROPERTY = "facemime_armature", "facemime_bones"
 PIVOT_PROPERTY = "facemime_pivot"
 """Custom property of a head: the point about which it turns, in the axes of the object; its origin if missing."""
 
+TAKE_PROPERTY = "facemime_take"
+"""Custom property of a strip in the Sequencer: that it has the sound of a take."""
+
 RANGE_PROPERTY = "facemime_range"
 """Custom property of a scene: the frame range of the last take, to which Facemime set the scene's."""
 

@@ -100,7 +100,7 @@ class TakeShow(Session):
 
     def _what_hides_it(self, scene: bpy.types.Scene, frames: NDArray[np.floating]) -> list[str]:
         """Return warnings about what keeps the take from being seen, as a bake gives them."""
-        targets = [target for shown in self._heads for target in pose_targets_of(shown.obj, shown.targets)]
+        targets = [target for shown in self.heads for target in pose_targets_of(shown.obj, shown.targets)]
         follow = scene.facemime
         hidden = overruled(targets, rotation=follow.rotation, translation=follow.translation)
         return [*hidden, *filter(None, [outside_range(scene, frames)])]

@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.settings import CURRENT_FRAME, SCENE_START
+from ..media.sound import is_of_take, strips_of
 from ..muting import others_playing
 from ..names import RANGE_PROPERTY
 
+_PARTS = ("shape_keys", "node_tree")
+"""Data-blocks that belong to one other."""
 _DEFAULT_RANGE = (1, 250)
 """Frame range of Blender's default scene, which nobody chose."""
 
@@ -86,9 +89,16 @@ def _is_free(scene: bpy.types.Scene) -> bool:
     ours = None if known is None else tuple(known)
     if (scene.frame_start, scene.frame_end) not in (_DEFAULT_RANGE, ours) or scene.timeline_markers:
         return False
-    blocks = [block for obj in scene.objects for block in (obj, obj.data, getattr(obj.data, "shape_keys", None))]
-    return not any(others_playing(block) for block in dict.fromkeys(filter(None, blocks)) if _animatable(block))
+    if scene.sequence_editor is not None and any(not is_of_take(strip) for strip in strips_of(scene.sequence_editor)):
+        return False
+    return not any(map(others_playing, _animatable(scene)))
 
 
-def _animatable(block: bpy.types.ID) -> bool:
-    return hasattr(block, "animation_data")
+def _animatable(scene: bpy.types.Scene) -> set[bpy.types.ID]:
+    """Return the data-blocks of a scene that may be animated."""
+    objects = set(scene.objects)
+    data = {obj.data for obj in objects}
+    materials = {slot.material for obj in objects for slot in obj.material_slots}
+    parts = {getattr(block, name, None) for block in data | materials | {scene.world} for name in _PARTS}
+    found = {scene, scene.world, *objects, *data, *materials, *parts}
+    return {block for block in found if block is not None and hasattr(block, "animation_data")}

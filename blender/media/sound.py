@@ -7,6 +7,7 @@ from pathlib import Path
 import bpy
 
 from ...core.errors import SourceError
+from ..names import TAKE_PROPERTY
 
 _CHANNEL = 1
 
@@ -34,8 +35,19 @@ def add_sound(scene: bpy.types.Scene, path: Path, frame: float) -> bpy.types.Str
         bpy.data.sounds.remove(sound)
         raise SourceError(f"{path.name} contains no readable sound. Choose another file.")
     editor = scene.sequence_editor or scene.sequence_editor_create()
-    strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+    strips = strips_of(editor)
     channel = max((strip.channel for strip in strips), default=_CHANNEL - 1) + 1
     strip = strips.new_sound(path.stem, str(path), channel, int(frame // 1))
     strip.frame_start = frame
+    strip[TAKE_PROPERTY] = True
     return strip
+
+
+def strips_of(editor: bpy.types.SequenceEditor) -> bpy.types.bpy_prop_collection:
+    """Return the strips of a Sequencer in any version of Blender."""
+    return editor.strips if hasattr(editor, "strips") else editor.sequences
+
+
+def is_of_take(strip: bpy.types.Strip) -> bool:
+    """Return whether Facemime added a strip, with the sound of a take."""
+    return bool(strip.get(TAKE_PROPERTY, False))

@@ -130,7 +130,14 @@ def bind(
     with read_from(character.path):
         open_file(character.path)
         chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
-        head, binding = _bound(chosen, marks)
+        with showing_scene(scene_of(chosen)):
+            return _bound_with_keys(chosen, marks, keys, takes, cut_open=cut_open)
+
+
+def _bound_with_keys(
+    chosen: bpy.types.Object, marks: Mapping[int, Mark], keys: KeySet | None, takes: Sequence[Take], *, cut_open: bool
+) -> BoundCharacter:
+    head, binding = _bound(chosen, marks)
     if binding is None:
         return BoundCharacter(head, None, [])
     for step in [finding.step for finding in check_object(head)] if cut_open else []:
@@ -168,9 +175,12 @@ def save(bound: BoundCharacter, output: Path) -> None:
     output : Path
         The file.
     """
-    for obj in bpy.context.scene.objects:
-        obj.select_set(obj == bound.head)
-    bpy.context.view_layer.objects.active = bound.head
+    with showing_scene(scene_of(bound.head)):
+        layer = bpy.context.view_layer
+        for obj in layer.objects:
+            obj.select_set(obj == bound.head)
+        if bound.head.name in layer.objects:  # it is not where its collection is excluded
+            layer.objects.active = bound.head
     save_blend(output)
 
 
@@ -184,7 +194,9 @@ def write_picture(bound: BoundCharacter, path: Path) -> None:
     path : Path
         The file.
     """
-    write_image(path, draw_landmarks(bpy.context.scene, bound.head, 2 * AVATAR_SIDE))
+    scene = scene_of(bound.head)
+    with showing_scene(scene):
+        write_image(path, draw_landmarks(scene, bound.head, 2 * AVATAR_SIDE))
 
 
 def sample(character: HeadFile, clip: str = "") -> Take:

@@ -10,6 +10,7 @@ from pathlib import Path
 import bpy
 
 from ...blender.animation.clips import Clip, clips_of, owners_of
+from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
 from ...blender.heads.family import family_of, heads_of, likely_character
@@ -140,14 +141,17 @@ def _reason(error: Exception) -> str:
 
 
 def likely_mesh(path: Path) -> bpy.types.Object:
-    """Return a mesh of the most likely character of the open file; raises HeadError if it has no mesh of a face."""
-    objects = bpy.context.scene.objects
-    chosen = likely_character(objects)
-    if chosen is None:
-        chosen = next((obj for obj in objects if obj.type == "MESH" and len(obj.data.polygons)), None)
-    if chosen is None:
-        raise HeadError(f"{path} has no mesh. Choose another file.")
-    return chosen
+    """Return a mesh of the most likely character of the open file, in the active scene if there is one.
+
+    Raises HeadError if the file has no mesh.
+    """
+    for scene in dict.fromkeys((bpy.context.scene, *bpy.data.scenes)):
+        with showing_scene(scene):
+            chosen = likely_character(scene.objects)
+        meshes = (obj for obj in scene.objects if obj.type == "MESH" and len(obj.data.polygons))
+        if (found := chosen or next(meshes, None)) is not None:
+            return found
+    raise HeadError(f"{path} has no mesh. Choose another file.")
 
 
 @contextmanager
@@ -194,9 +198,13 @@ def _open_head(file: HeadFile, by_keys: Collection[str] | None) -> bpy.types.Obj
         raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: {path}:OBJECT.")
     named = object_named(path, name) if name else None
     chosen = bound[0] if named is None and bound else named or likely_mesh(path)
-    chosen = next(iter(heads_of([chosen])), chosen)
-    if chosen in bound:
-        return chosen
+    with showing_scene(scene_of(chosen)):
+        chosen = next(iter(heads_of([chosen])), chosen)
+        return chosen if chosen in bound else _newly_bound(path, chosen, by_keys)
+
+
+def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] | None) -> bpy.types.Object:
+    """Bind the character of an object, and say how."""
     sets = [] if by_keys is None else [known_set(member) for member in family_of(chosen)]
     if any(found is not None and found.sources.issuperset(by_keys) for found in sets):
         head = bind_keys(chosen)

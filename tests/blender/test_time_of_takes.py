@@ -12,6 +12,7 @@ from curves import curves_of
 from commands import run
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
+from facemime.blender.meshes import is_head
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.file import save_take
@@ -84,7 +85,24 @@ def _marker(scene):
     scene.timeline_markers.new("Shot", frame=20)
 
 
-@pytest.mark.parametrize("use", [_camera_move, _strip, _other_key, _marker])
+def _material(scene):
+    material = bpy.data.materials.new("Blinking")
+    if hasattr(material, "use_nodes"):
+        material.use_nodes = True
+    material.node_tree.nodes[0].keyframe_insert("location", frame=1)
+    scene.objects[0].data.materials.append(material)
+
+
+def _edit(scene):
+    editor = scene.sequence_editor_create()
+    strips = editor.strips if hasattr(editor, "strips") else editor.sequences
+    strips.new_effect("Shot", "COLOR", 1, frame_start=1, **_LENGTH)
+
+
+_LENGTH = {"length": 40} if bpy.app.version >= (5, 0, 0) else {"frame_end": 40}
+
+
+@pytest.mark.parametrize("use", [_camera_move, _strip, _other_key, _marker, _material, _edit])
 def test_the_range_of_a_scene_in_use_is_kept_unless_its_change_is_asked_for(use):
     head, scene = add_head(bpy.context), bpy.context.scene
     scene.render.fps = 25
@@ -138,3 +156,20 @@ def test_a_character_of_another_scene_gets_the_rate_and_range_of_its_own(tmp_pat
     first, last = keyed(bpy.data.objects["Face"])
     assert first == pytest.approx(1.0) and last == pytest.approx(1.0 + performance().times[-1] * 24, abs=1.1)
     assert range_of(bpy.data.scenes["Scene"]) == (1, int(np.ceil(last - 1e-3)))
+
+
+@pytest.mark.thorough
+def test_a_character_of_another_scene_is_found_and_bound_in_its_own(tmp_path):
+    head = add_head(bpy.context)
+    head.name = "Face"
+    for owner in (head, head.data):
+        for name in list(owner.keys()):
+            del owner[name]
+    bpy.context.window.scene = bpy.data.scenes.new("Edit")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "two.blend"))
+    for number, name in enumerate(("", ":Face")):
+        output = tmp_path / f"{number}.blend"
+        done = run("bind", f"{tmp_path / 'two.blend'}{name}", "-o", output, "--picture", tmp_path / f"{number}.png")
+        assert done.returncode == 0, done.stderr
+        bpy.ops.wm.open_mainfile(filepath=str(output))
+        assert bpy.context.scene.name == "Edit" and is_head(bpy.data.objects["Face"])
