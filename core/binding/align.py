@@ -24,8 +24,8 @@ Pose = tuple[float, FloatArray, FloatArray]
 """Scale, rotation and translation of the template: ``s R x + t``."""
 
 
-def pose_from_shape(template: Template, surface: Surface) -> Pose:
-    """Align the template with a mesh from several starts, without marks.
+def rough_poses(template: Template, surface: Surface) -> list[tuple[float, Pose]]:
+    """Align the template with a mesh from several starts, roughly and without marks.
 
     Parameters
     ----------
@@ -36,20 +36,36 @@ def pose_from_shape(template: Template, surface: Surface) -> Pose:
 
     Returns
     -------
-    Pose
-        The similarity with the smallest distance; see `follow`.
+    list of (float, Pose)
+        The distance and the similarity of each, as from `follow`, the smallest distance first.
     """
     low, high = surface.places.min(axis=0), surface.places.max(axis=0)
-    skin, coarse = template.skin[::2], template.skin[::_COARSE]
+    coarse = template.skin[::_COARSE]
     found: list[tuple[float, Pose]] = []
     for scale in _SCALES:
         size = scale * float(high[0] - low[0]) / 2.0
-        depth = float(np.percentile(surface.places[:, 2], 0.5)) - size * float(template.places[skin, 2].min())
+        depth = float(np.percentile(surface.places[:, 2], 0.5)) - size * float(
+            template.places[template.skin[::2], 2].min()
+        )
         for height in _HEIGHTS:
             middle = (low + high) / 2.0
             start = np.array([middle[0], middle[1] + height * (high[1] - low[1]), depth])
             found.append(follow(template, surface, (size, np.eye(3), start), coarse, _COARSE_STEPS))
-    found = sorted(found, key=lambda pair: pair[0])[:_PURSUED]
+    return sorted(found, key=lambda pair: pair[0])
+
+
+def pose_from_shape(template: Template, surface: Surface) -> Pose:
+    """Return the similarity that aligns the template best with a mesh, without marks.
+
+    Parameters
+    ----------
+    template : Template
+        The template.
+    surface : Surface
+        The mesh.
+    """
+    found = rough_poses(template, surface)[:_PURSUED]
+    skin = template.skin[::2]
     return min((follow(template, surface, pose, skin) for _, pose in found), key=lambda pair: pair[0])[1]
 
 

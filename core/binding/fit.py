@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from ..errors import HeadError
 from ..landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
 from ..mesh.surface import surface_normals
 from ..mesh.warp import Warp
-from .align import Pose, follow, pose_from_shape, similarity
+from .align import Pose, follow, pose_from_shape, rough_poses, similarity
 from .sight import Sight, look
 from .template import Surface, Template
 from .views import View, seen_view, views_of
@@ -25,6 +26,8 @@ _UNUSUAL_STRAIN = 0.07
 """Strain above which a head is stylised, so that even clearly seen landmarks may be off."""
 _SMOOTHINGS = (1.0, 0.3, 0.1)
 """Smoothness of successive warps, as a multiple of the smoothing in `_bend`."""
+_LIKELY = 4
+"""Number of attitudes besides the upright one in which the template is bent to a mesh on which no face is seen."""
 _MIN_POINTS = 5
 """Smallest number of points of a warp; four determine its affine part."""
 _SOFTNESS = np.full(N_LANDMARKS, 0.3)
@@ -146,7 +149,7 @@ def _fit_by_shape(
 ) -> FittedTemplate | None:
     """Return the first fit that hardly bends the template, or else the one that bends it least."""
     best: FittedTemplate | None = None
-    for view in views_of(places, faces, picked):
+    for view in _likely_first(template, views_of(places, faces, picked)):
         numbers = np.full(len(places), -1)
         numbers[view.part] = np.arange(len(view.part))
         fitted = _fit(template, view, None, {landmark: int(numbers[v]) for landmark, v in picked.items()})
@@ -155,6 +158,22 @@ def _fit_by_shape(
         if best.strain < _LOW_STRAIN:
             break
     return best
+
+
+def _likely_first(template: Template, views: Iterator[View]) -> Iterator[View]:
+    """Yield the first view, and then those few of the others to which the template comes nearest."""
+    yield from islice(views, 1)
+    rough = [(_rough_distance(template, view), view) for view in views]
+    for _, view in sorted(rough, key=lambda pair: pair[0])[:_LIKELY]:
+        yield view
+
+
+def _rough_distance(template: Template, view: View) -> float:
+    """Distance of the template from a mesh after a rough alignment; infinite if it collapses onto a few vertices."""
+    try:
+        return rough_poses(template, Surface(view.places, view.faces))[0][0]
+    except HeadError:
+        return np.inf
 
 
 def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int, int]) -> FittedTemplate:

@@ -349,7 +349,7 @@ def test_selected_points_drive_the_head_until_all_landmarks_are_restored(tmp_pat
 
 def test_a_cube_is_not_a_face():
     bpy.ops.mesh.primitive_cube_add()
-    with pytest.raises(RuntimeError, match="66 landmarks need more"):
+    with pytest.raises(RuntimeError, match="too coarse for 66 landmarks"):
         bpy.ops.facemime.bind_landmarks()
 
 
