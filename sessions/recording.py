@@ -17,6 +17,7 @@ from ..core.live.worker import LiveWorker
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.take import describe
 from ..core.tracking.result import TrackResult
+from ..settings.moved_files import beside
 from ..settings.preferences import preferences
 from ..settings.storage import free_path
 from ..settings.takes_store import add, new_path
@@ -158,7 +159,7 @@ class Recording:
         if any(part.frames for part in there):
             there = [part for part in there if part.frames]
         for part in there:
-            add(scene, part.path)
+            add(scene, beside(part.path))
         return [(scene.name, part.path) for part in there]
 
     def _parts(self) -> list[_Part]:

@@ -49,6 +49,21 @@ def located(path: str) -> Path:
     return known if known is not None and known.exists() else there
 
 
+def beside(path: Path) -> Path:
+    """Move a take that was begun before the first save, with its video, beside the .blend file; return its new path.
+
+    Parameters
+    ----------
+    path : Path
+        One that is elsewhere, or the take of a file that has not been saved, stays where it is.
+    """
+    moved = _copied({path}, Path(bpy.data.filepath)) if bpy.data.filepath else {}
+    for old in moved:
+        with suppress(OSError):  # the copy is what counts
+            old.unlink()
+    return moved.get(path, path)
+
+
 def default_folder(name: str) -> Path:
     """Return the folder for takes or caches of a .blend file that has not been saved."""
     preferred = preferences().takes_folder if name == TAKES else ""

@@ -10,6 +10,7 @@ from ...core.arrays import FloatArray
 from ...core.errors import HeadError
 from ..frames import to_blender
 from ..meshes import read_faces, read_vertices
+from .family import family_of
 
 _INFINITE = 1e15
 """Coordinate above which a vertex counts as infinite: Blender limits those that are set to the largest number."""
@@ -27,8 +28,11 @@ _HARMLESS = {"ARMATURE", "SUBSURF", "MULTIRES", "MASK", "TRIANGULATE", "WELD", "
 
 
 def require_sound(obj: bpy.types.Object) -> None:
-    """Raise HeadError if vertices of `obj` are not at numbers, which are then selected, or half of it is mirrored."""
-    _require_finite(obj)
+    """Raise HeadError if vertices of the character of `obj` are not at numbers, which are then selected, or half of
+    `obj` is mirrored.
+    """
+    for member in family_of(obj):
+        _require_finite(member)
     mirrors = [modifier for modifier in _shown_modifiers(obj) if modifier.type == "MIRROR"]
     for modifier in mirrors:
         if _is_half(obj, modifier):

@@ -122,6 +122,17 @@ def test_a_save_that_fails_moves_nothing(home, project):
     assert line.path == here and len(takes_store.read(line)) == 60
 
 
+def test_a_take_that_was_being_recorded_at_the_first_save_moves_when_it_ends(home, project):
+    path = takes_store.new_path("Take")
+    save_take(performance(), path)
+    path.with_suffix(".mkv").write_bytes(b"video")
+    assert moved_files.beside(path) == path
+    save(project / "shot.blend")
+    assert moved_files.beside(path) == project / "takes" / "Take.facetake" and not path.exists()
+    assert files(project) == ["shot.blend", "takes/Take.facetake", "takes/Take.mkv"]
+    assert moved_files.beside(home / "elsewhere.facetake") == home / "elsewhere.facetake"
+
+
 def test_takes_imported_from_elsewhere_stay_there(home, project):
     save_take(performance(), home / "other.facetake")
     assert bpy.ops.facemime.import_take(filepath=str(home / "other.facetake")) == {"FINISHED"}

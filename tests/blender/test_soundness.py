@@ -50,6 +50,16 @@ def test_vertices_at_no_number_are_named_and_selected(head, value):
     assert [vertex.index for vertex in head.data.vertices if vertex.select] == [5]
 
 
+def test_another_mesh_of_the_character_with_such_vertices_is_named(head):
+    head, _ = head
+    bpy.ops.mesh.primitive_cube_add(size=0.02)
+    hair = bpy.context.active_object
+    hair.name, hair.parent = "Hair", head
+    hair.data.attributes["position"].data[2].vector = (float("nan"), 0.0, 0.0)
+    with pytest.raises(HeadError, match=r"Hair has vertices whose positions .*: 2"):
+        bind_character(head)
+
+
 def test_a_shape_key_with_positions_that_are_no_numbers_is_named(head):
     head, _ = head
     head.shape_key_add(name="Basis")
