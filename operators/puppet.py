@@ -55,6 +55,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _drag: PreviewDrag | None = None
     _display: FaceDisplay | None = None
     _redrawn_at = 0.0
+    _text = ""
     _heads: tuple[LiveHeadObject, ...] = ()
 
     @classmethod
@@ -127,6 +128,9 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             session.attend()
         if session.ended:
             return self.finish(context)
+        if (text := session.stopwatch.text) != self._text:  # the Sidebar and the preview show the same figures
+            self._text = text
+            redraw(context, "UI")
         if abs(self._timer_seconds() - self._redrawn_at) > _STATUS_INTERVAL:
             self._redrawn_at = self._timer_seconds()
             redraw(context, "UI")

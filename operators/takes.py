@@ -100,16 +100,18 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head and a take, and that no other session is running."""
+        """Require a head and a take, and that no other session than a puppet is running, which ends."""
         if TakeShow.running() is not None:
             return True
-        return require_no_session(cls) and require_heads(cls, context) and super().poll(context)
+        free = running() is not None or require_no_session(cls)
+        return free and require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
+        if (puppet := running()) is not None:
+            puppet.close()
         if (show := TakeShow.running()) is not None:
             show.close()
         else:
-            context.window_manager.facemime.recorded = ""
             with reporting_range(self, context.scene):
                 show = TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
             for warning in show.warnings:

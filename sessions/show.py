@@ -16,6 +16,7 @@ from ..blender.animation.live_keys import names_of
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.overruled import overruled
 from ..blender.animation.scene_range import fit_range, outside_range
+from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import show_error
 from ..blender.registering import watch
 from ..blender.rigs import read_rig
@@ -89,6 +90,7 @@ class TakeShow(Session):
         self._scene = scene.name
         super().__init__()
         self.heads = heads
+        self._display = FaceDisplay(objects, bones=settings.hide_bones and bpy.context.mode != "POSE")
         bake = scene.facemime_takes.bake
         self._start = place_take(scene)
         frames = frames_of(scene, take.times, self._start)
@@ -167,6 +169,7 @@ class TakeShow(Session):
             self.show(scene)
 
     def _restore(self, *, blocks: bool) -> None:
+        self._display.close()
         removed = [shown.detach(keep=False, blocks=blocks) for shown in self.heads]
         removed.append(clear_all_live(blocks=blocks, but=self.blocks))
         if any(removed):

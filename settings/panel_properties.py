@@ -77,7 +77,7 @@ class FacemimeMemory(bpy.types.PropertyGroup):
     landmarks: CollectionProperty(type=FacemimeLandmark)
     problem: StringProperty(description="Why the last puppet could not start or was stopped")
     problem_source: StringProperty(description="Settings of the source for which that holds")
-    recorded: StringProperty(description="Name of the take that was recorded last and is neither shown nor baked yet")
+    recorded: StringProperty(description="Name of the take that was recorded last and is not baked yet")
     unsure: StringProperty(description="Name of the last head on which the search was uncertain")
     wanted: StringProperty(description="iBUG numbers of the marks that would help most there")
 

@@ -54,7 +54,7 @@ _HEADER = 1.344
 _BOX, _STEPS = 7.15, (4.9, 5.95, 7.6)
 """Usual height of the box on top of the tab, and the middles of its large buttons without and with a file, and of the
 buttons below, in interface units."""
-_LINK, _FROM_RIGHT = "wm.url_open", 2.35
+_LINK, _FROM_RIGHT = "wm.url_open", 3.1
 """Button at the right of a header, by which the first header is found, and its distance from the right."""
 _HAS_BOX = "hasattr(bpy.types, 'FACEMIME_PT_start')"
 _STEP = 0.75

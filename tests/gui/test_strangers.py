@@ -65,7 +65,6 @@ def record_preview_bake_and_export(blender: Blender, sidebar: Sidebar, output: P
     blender.shot("previewed")
     sidebar.press("bpy.ops.facemime.show_take(")
     blender.wait_for("Session.current is None")
-    blender.do("bpy.context.window_manager.facemime.recorded = 'again'")
     sidebar.open_panel("FACEMIME_PT_takes", children=True)
     sidebar.press("bpy.ops.facemime.bake_take(")
     blender.wait_for(f"{HEAD}.data.shape_keys is not None and {HEAD}.data.shape_keys.animation_data is not None")
