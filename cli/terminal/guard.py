@@ -85,10 +85,9 @@ def limited(path: Path) -> Iterator[None]:
 
     size = path.stat().st_size
     used = resource.getrusage(resource.RUSAGE_SELF)
-    wanted = {
-        resource.RLIMIT_DATA: _data_size() + _MEMORY + _MEMORY_PER_BYTE * size,
-        resource.RLIMIT_CPU: int(used.ru_utime + used.ru_stime + _SECONDS + _SECONDS_PER_BYTE * size) + 1,
-    }
+    wanted = {resource.RLIMIT_CPU: int(used.ru_utime + used.ru_stime + _SECONDS + _SECONDS_PER_BYTE * size) + 1}
+    if (data := _data_size()) is not None:
+        wanted[resource.RLIMIT_DATA] = data + _MEMORY + _MEMORY_PER_BYTE * size
     before = {kind: resource.getrlimit(kind) for kind in wanted}
     for kind, limit in wanted.items():
         soft, hard = before[kind]
@@ -100,13 +99,14 @@ def limited(path: Path) -> Iterator[None]:
             resource.setrlimit(kind, limits)
 
 
-def _data_size() -> int:
-    """Size in bytes of what RLIMIT_DATA counts."""
-    for row in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-        name, _, value = row.partition(":")
-        if name == "VmData":
-            return 1024 * int(value.split()[0])
-    return 0
+def _data_size() -> int | None:
+    """Size in bytes of what RLIMIT_DATA counts; None if the system does not tell, as in a bare chroot."""
+    with contextlib.suppress(OSError):
+        for row in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
+            name, _, value = row.partition(":")
+            if name == "VmData":
+                return 1024 * int(value.split()[0])
+    return None
 
 
 def _status_of(command: Sequence[str], mark: Path) -> int:
