@@ -30,7 +30,15 @@ from .operators import (
     viewer,
 )
 from .sessions import session, show
-from .settings import moved_files, panel_properties, preferences, properties, stream_properties, takes_properties
+from .settings import (
+    moved_files,
+    panel_properties,
+    performers,
+    preferences,
+    properties,
+    stream_properties,
+    takes_properties,
+)
 from .ui import calibration as calibration_panel
 from .ui import control_points as control_points_panel
 from .ui import documentation, menus, placing_overlay, point_overlay, preview, region_overlay, translations
@@ -50,6 +58,7 @@ _MODULES = (
     stream_properties,
     properties,
     panel_properties,
+    performers,
     takes_properties,
     moved_files,
     face_display,

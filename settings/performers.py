@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import bpy
+from bpy.app.handlers import persistent
 
 from ..core.errors import FacemimeError
 from ..core.takes.neutral import Neutral
@@ -94,8 +95,19 @@ def forget(performer: FacemimePerformer) -> None:
     performer.calibration = ""
 
 
-def follow_keeping(settings: FacemimeSettings, context: bpy.types.Context) -> None:
-    """Store the calibrations of a scene in the file, or remove them from it, as its setting says."""
+@persistent
+def _before_saving(*_: object) -> None:
+    for scene in bpy.data.scenes:
+        # What a file had before there was this setting stays.
+        if scene.library is None and scene.facemime.is_property_set("keep_calibrations"):
+            follow_keeping(scene.facemime)
+
+
+def follow_keeping(settings: FacemimeSettings) -> None:
+    """Store the calibrations of a scene in the file, or remove them from it, as its setting says.
+
+    That is done before a file is saved, as a setting that calls a function makes Blender 4.2 crash when it quits.
+    """
     for performer in settings.performers:
         text = calibration_of(performer)
         if text:
@@ -117,3 +129,6 @@ def clear_file() -> None:
             scene.facemime.keep_calibrations = False
             for performer in scene.facemime.performers:
                 performer.calibration = ""
+
+
+HANDLERS = {"save_pre": _before_saving}

@@ -14,7 +14,6 @@ from bpy.props import (
 from ..core.drive.settings import DriveSettings, PosingSettings
 from ..core.puppet.settings import PuppetSettings
 from ..core.tracking.settings import TrackingSettings
-from .performers import follow_keeping
 from .rna import with_settings
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 
@@ -126,7 +125,6 @@ class FacemimeSettings(bpy.types.PropertyGroup):
             "they are forgotten when Blender quits"
         ),
         default=False,
-        update=follow_keeping,
     )
     hide_bones: BoolProperty(
         name="Hide Bones",

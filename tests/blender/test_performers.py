@@ -1,5 +1,6 @@
 """The performer's face is in the .blend file only on request."""
 
+import json
 from dataclasses import replace
 
 import bpy
@@ -53,12 +54,21 @@ def test_a_calibration_made_after_the_request_is_kept_as_well_until_it_is_withdr
     write_calibration(settings, NEUTRAL)
     assert len(stored_performers()) == 1
     settings.keep_calibrations = False
+    settings = saved_and_opened()
     assert not stored_performers() and read_calibration(settings) is not None
+
+
+def test_a_calibration_that_an_earlier_version_stored_stays_in_the_file(settings):
+    write_calibration(settings, NEUTRAL)
+    settings.performers[0].calibration = json.dumps(NEUTRAL.to_dict())
+    saved_and_opened()
+    assert len(stored_performers()) == 1
 
 
 def test_the_button_removes_faces_of_all_scenes_and_of_files_from_before(settings):
     write_calibration(settings, NEUTRAL)
     settings.keep_calibrations = True
+    saved_and_opened()
     bpy.ops.scene.new(type="FULL_COPY")
     assert len(stored_performers()) == 2
     assert bpy.ops.facemime.clear_calibrations() == {"FINISHED"} and not stored_performers()

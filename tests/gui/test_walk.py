@@ -169,6 +169,7 @@ def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sideba
     blender.wait_for(kept)
     assert blender.get("bpy.context.scene.facemime.performers[0].calibration") == ""
     blender.do("bpy.context.scene.facemime.keep_calibrations = True")
+    blender.do(f"bpy.ops.wm.save_as_mainfile(filepath={str(blender.inside / 'kept.blend')!r}, copy=True)")
     assert blender.get("bpy.context.scene.facemime.performers[0].calibration").startswith("{")
     assert blender.get("Session.current.worker.quality.message")
     blender.shot("calibrated")
