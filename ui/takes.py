@@ -121,6 +121,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         layout, bake = self.layout, context.scene.facemime_takes.bake
         split_labels(layout)
         layout.prop(bake, "keys", text="")
+        layout.operator("facemime.bake_take", icon="ACTION")  # above the options, in view on small screens
         column = layout.column()
         column.active = bake.keys in (AUTOMATIC, "new")
         column.prop(bake, "max_keys")
@@ -131,7 +132,6 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         layout.prop(bake, "fit_range")
         layout.prop(bake, "keep_animation")
         layout.prop(bake, "nla")
-        layout.operator("facemime.bake_take", icon="ACTION")
         obj = subject(context)
         if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):
             labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
