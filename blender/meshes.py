@@ -211,6 +211,18 @@ def key_names(obj: bpy.types.Object) -> list[str]:
     ]
 
 
+def key_offsets(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """Return (V, 3) displacements by a key at value 1 in Blender's axes, without its vertex group."""
+    return key_points(key) - key_points(key.relative_key)
+
+
+def key_points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
+    """Return (V, 3) positions of a key in Blender's axes."""
+    flat = np.empty(3 * len(key.points), dtype=np.float32)
+    key.points.foreach_get("co", flat)
+    return flat.reshape(-1, 3)
+
+
 def read_selection(mesh: bpy.types.Mesh) -> GreedySelection | None:
     """Return the control points selected for `mesh`; None if all landmarks are."""
     text = mesh.get(SELECTION_PROPERTY)

@@ -14,7 +14,7 @@ from ...core.bake.key_map import ESSENTIAL, best_preset
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, members_of
-from ..meshes import group_weights, key_names
+from ..meshes import group_weights, key_names, key_offsets, key_points
 from ..muting import Silenced
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 from .key_drivers import family_keys, following_paths
@@ -241,15 +241,3 @@ def scaled_offsets(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> NDArray[np
     if key.vertex_group in obj.vertex_groups:
         offsets *= group_weights(obj, key.vertex_group)[:, None]
     return offsets
-
-
-def key_offsets(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
-    """Return (V, 3) displacements by a key at value 1 in Blender's axes, without its vertex group."""
-    return key_points(key) - key_points(key.relative_key)
-
-
-def key_points(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
-    """Return (V, 3) positions of a key in Blender's axes."""
-    flat = np.empty(3 * len(key.points), dtype=np.float32)
-    key.points.foreach_get("co", flat)
-    return flat.reshape(-1, 3)

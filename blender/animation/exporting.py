@@ -14,8 +14,9 @@ import numpy as np
 
 from ...core.errors import OutputError
 from ..collections import revealed, set_for_now
+from ..meshes import key_points
 from ..muting import mute_for_now
-from .bake_keys import key_points, scaled_offsets, value_path
+from .bake_keys import scaled_offsets, value_path
 
 
 @contextmanager

@@ -9,9 +9,9 @@ import numpy as np
 
 from ...core.drive.motion import HeadMotion
 from ..characters import Member, members_of, objects_of
-from ..meshes import key_names
+from ..meshes import key_names, key_offsets
 from ..muting import Silenced, mute_others, mute_paths, others_playing
-from .bake_keys import key_offsets, value_path
+from .bake_keys import value_path
 from .key_drivers import family_keys, moved_paths
 
 _STILL = 1e-6

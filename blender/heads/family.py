@@ -12,6 +12,7 @@ from functools import lru_cache
 import bpy
 import numpy as np
 from mathutils import Vector
+from numpy.typing import NDArray
 
 from ...core.arrays import FloatArray
 from ...core.bake.key_map import KeyMap, best_preset
@@ -20,8 +21,11 @@ from ...core.heads.bones import find_bones
 from ...core.heads.part_names import named_part, names_body, names_skin
 from ...core.landmarks import N_LANDMARKS
 from ..characters import head_of, objects_of, rest_matrix
-from ..meshes import can_be_driven, is_head, key_names
+from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points
 from ..names import PART_PROPERTY
+
+_STILL = 1e-6
+"""Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 
 
 def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
@@ -59,16 +63,34 @@ def face_candidates(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def known_keys(obj: bpy.types.Object) -> KeyMap | None:
-    """Return the mapping to the known set of shape keys with most keys that a mesh of the character of `obj` has, by
-    their names, which is fast enough for drawing a panel; None if none has such a set.
+    """Return the mapping to the known set of shape keys with most keys that a mesh of the character of `obj` has; None
+    if none has such a set.
     """
     found = [table for member in family_of(obj) if (table := preset_of(member)) is not None]
     return max(found, key=lambda table: len(table.keys), default=None)
 
 
 def preset_of(obj: bpy.types.Object) -> KeyMap | None:
-    """Return the mapping to the known set of shape keys that a mesh has, by their names."""
-    return _preset(tuple(key_names(obj)))
+    """Return the mapping to the known set of shape keys that move a mesh; fast enough for drawing a panel."""
+    names = tuple(key_names(obj))
+    if _preset(names) is None:
+        return None
+    known = (obj.data.shape_keys.session_uid, len(obj.data.vertices), names)
+    if known not in _moving:
+        _moving[known] = tuple(name for name in names if moved_by_key(obj, name).any())
+    return _preset(_moving[known])
+
+
+_moving: dict[tuple[int, int, tuple[str, ...]], tuple[str, ...]] = {}
+"""The keys that move something, by the identity of the shape keys, the number of vertices and the names of all keys."""
+
+
+def moved_by_key(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
+    """Return (V, 3) displacements of a key in the axes of the mesh in Blender, 0 where they are negligible."""
+    block = obj.data.shape_keys.key_blocks[name]
+    offsets = key_offsets(block)
+    size = float(np.ptp(key_points(block.relative_key), axis=0).max(initial=0.0))
+    return np.where(np.abs(offsets) > _STILL * size, offsets, np.float32(0.0))
 
 
 @lru_cache(maxsize=64)

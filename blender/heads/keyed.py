@@ -20,18 +20,16 @@ from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import group_weights, key_names, read_vertices
 from ..names import COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
-from .family import armature_of, family_of, heads_of, require_character
+from .family import armature_of, family_of, heads_of, moved_by_key, require_character
 from .parts import bones_of
 
-_STILL = 1e-6
-"""Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 _OWN_WEIGHT = 0.5
 """Weight of the bone of an eye above which a vertex belongs to that eye."""
 
 
 def known_set(obj: bpy.types.Object) -> KeyMap | None:
     """Return the mapping of the known set of shape keys that moves a mesh; None if it has no such set."""
-    return best_preset([name for name in key_names(obj) if _offsets(obj, name).any()])
+    return best_preset([name for name in key_names(obj) if moved_by_key(obj, name).any()])
 
 
 def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
@@ -65,7 +63,7 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     table = sets[head]
     keys = [name for name in table.keys if name in key_names(head)]
     mixtures = np.array([_mixture(table, name) for name in keys])
-    face = face_from_keys(read_vertices(head.data), mixtures, [from_blender(_offsets(head, name)) for name in keys])
+    face = face_from_keys(read_vertices(head.data), mixtures, [from_blender(moved_by_key(head, name)) for name in keys])
     if not np.allclose(face.upright, np.eye(3)):
         turn_mesh(head, HEAD_TO_BLENDER @ face.upright @ HEAD_TO_BLENDER.T)
     head.data[KEYS_PROPERTY] = face.landmarks.tolist()
@@ -80,17 +78,6 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     write_bones(head, armature if bones.head else None, bones)
     head[PIVOT_PROPERTY] = to_blender(neck_of(read_vertices(head.data)[face.landmarks])).tolist()
     return head
-
-
-def _offsets(obj: bpy.types.Object, name: str) -> np.ndarray:
-    """Return (V, 3) displacements of a key in the axes of the mesh in Blender, 0 where they are negligible."""
-    block = obj.data.shape_keys.key_blocks[name]
-    flat = np.empty((2, 3 * len(block.points)), dtype=np.float32)
-    for row, key in zip(flat, (block, block.relative_key), strict=True):
-        key.points.foreach_get("co", row)
-    size = float(np.ptp(flat[1].reshape(-1, 3), axis=0).max(initial=0.0))
-    offsets = (flat[0] - flat[1]).reshape(-1, 3)
-    return np.where(np.abs(offsets) > _STILL * size, offsets, np.float32(0.0))
 
 
 def _mixture(table: KeyMap, key: str) -> np.ndarray:
@@ -115,4 +102,4 @@ def _without_moved_eyes(bones: FaceBones, meshes: list[bpy.types.Object]) -> Fac
 def _look(obj: bpy.types.Object, bone: str) -> bool:
     """Return whether a key for the direction of the eyes moves the vertices of an eye's bone."""
     own = group_weights(obj, bone) > _OWN_WEIGHT
-    return bool(own.any()) and any(_offsets(obj, key)[own].any() for key in key_names(obj) if "look" in key.lower())
+    return bool(own.any()) and any(moved_by_key(obj, key)[own].any() for key in key_names(obj) if "look" in key.lower())

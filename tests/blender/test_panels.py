@@ -287,7 +287,7 @@ def test_the_box_on_top_offers_the_keys_of_a_character_before_its_face():
     for key in list(head.data.keys()):
         del head.data[key]
     drawn = draw(FACEMIME_PT_start)
-    assert "Use Its 52 ARKit Keys" in drawn and head.name in drawn
+    assert "Use Its 51 ARKit Keys" in drawn and head.name in drawn
     assert drawn.index("facemime.bind_keys") < drawn.index("facemime.bind_landmarks")
     assert bpy.ops.facemime.bind_keys() == {"FINISHED"}
     assert "facemime.puppet" in draw(FACEMIME_PT_start)
