@@ -72,6 +72,8 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             keep_problem(context, str(error))
             raise
         keep_problem(context, "")
+        for warning in self._session.overruled():
+            report(self, warning, "WARNING")
         self._display = FaceDisplay(heads, bones=_hides_bones(context))
         self._rigs = RigWatch(self._session)
         self._scene, self._drag = context.scene.name, PreviewDrag()

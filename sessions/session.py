@@ -12,8 +12,10 @@ from typing import Self
 import bpy
 from bpy.app.handlers import persistent
 
+from ..blender.animation.bake import pose_targets_of
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
+from ..blender.animation.overruled import overruled
 from ..blender.registering import watch
 from ..core.errors import HeadError
 
@@ -87,6 +89,14 @@ class Session:
         """Find the heads again after an undo, and return whether the step that was loaded was taken in the session."""
         self.heads = [head.found_again() or head for head in self.heads]
         return any(head.left_in_file for head in self.heads)
+
+    def overruled(self) -> list[str]:
+        """Return warnings about what keeps the pose of the heads from being seen."""
+        if not self.heads:
+            return []
+        targets = [target for shown in self.heads for target in pose_targets_of(shown.obj, shown.targets)]
+        follow = self.heads[0].follow
+        return overruled(targets, rotation=follow.rotation, translation=follow.translation)
 
     def rest_copies(self) -> None:
         """Put objects at rest that were duplicated from those that the session moves, if there are other objects than

@@ -8,13 +8,10 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent
-from numpy.typing import NDArray
 
-from ..blender.animation.bake import pose_targets_of
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import names_of
 from ..blender.animation.live_mesh import clear_all_live
-from ..blender.animation.overruled import overruled
 from ..blender.animation.scene_range import fit_range, outside_range
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import show_error
@@ -95,17 +92,10 @@ class TakeShow(Session):
         self._start = place_take(scene)
         frames = frames_of(scene, take.times, self._start)
         fit_range(scene, frames, bake.start, asked=bake.fit_range)
-        self.warnings = self._what_hides_it(scene, frames)
+        self.warnings = [*self.overruled(), *filter(None, [outside_range(scene, frames)])]
         self.resume()
         push_undo("Preview on Head")
         watch(follow_settings, _INTERVAL)
-
-    def _what_hides_it(self, scene: bpy.types.Scene, frames: NDArray[np.floating]) -> list[str]:
-        """Return warnings about what keeps the take from being seen, as a bake gives them."""
-        targets = [target for shown in self.heads for target in pose_targets_of(shown.obj, shown.targets)]
-        follow = scene.facemime
-        hidden = overruled(targets, rotation=follow.rotation, translation=follow.translation)
-        return [*hidden, *filter(None, [outside_range(scene, frames)])]
 
     def _driver(
         self, obj: bpy.types.Object, keys: LiveKeys | None, before: HeadDriver | None

@@ -71,3 +71,13 @@ def test_a_preview_says_it_too(rigged):
     show = TakeShow(bpy.context.scene, [head], performance())
     assert [warning for warning in show.warnings if "Rest Position" in warning]
     show.close()
+
+
+@pytest.mark.usefixtures("looping", "nothing_left_over")
+def test_a_live_puppet_says_it_too(rigged, capfd):
+    head, armature = rigged
+    armature.data.pose_position = "REST"
+    bpy.context.view_layer.objects.active = head
+    assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
+    assert f"{armature.name} is in Rest Position" in capfd.readouterr().out
+    bpy.ops.facemime.stop_puppet()
