@@ -159,6 +159,8 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         raise HeadError(f"Mark at least {MIN_MARKS} points, or none; got {len(picked)}.")
     if picked and (min(picked.values()) < 0 or max(picked.values()) >= len(places)):
         raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
+    if not len(places):
+        raise HeadError("The mesh has no vertices. Choose another mesh.")
     if len(places) < N_LANDMARKS:
         raise HeadError(TOO_COARSE)
     # 1. to 3. Look, similarity and warps.
