@@ -150,14 +150,14 @@ class KeyMap:
         -------
         (N, 52) float64
             Coefficients, 0 to 1, for which `apply` gives the values. If each key of the table is a coefficient, they
-            are those values, and others are 0.
+            are those values, negative ones as the coefficient of the opposite motion, and others are 0.
         """
         names = COEFFICIENTS
         if len(self.rows) == len(self.keys) == len(self.sources) and all(row.gain for row in self.rows):
             found = np.zeros((len(near), len(names)))
             for row in self.rows:
                 found[:, names.index(row.source)] = (values[row.key] - row.offset) / row.gain
-            return np.clip(found, 0.0, 1.0)
+            return np.clip(_without_opposites(found), 0.0, 1.0)
         gains, wanted = np.zeros((len(self.keys), len(names))), np.column_stack([values[key] for key in self.keys])
         for row in self.rows:
             gains[self.keys.index(row.key), names.index(row.source)] += row.gain
@@ -179,6 +179,14 @@ class KeyMap:
             indent=1,
             ensure_ascii=False,
         )
+
+
+def _without_opposites(coefficients: FloatArray) -> FloatArray:
+    """Turn negative coefficients, (N, 52), into positive ones of the motions that these exclude."""
+    pairs = np.array([[COEFFICIENTS.index(name) for name in pair] for pair in EXCLUSIVE_NAMES])
+    pairs, turned = np.concatenate([pairs, pairs[:, ::-1]]), coefficients.copy()
+    turned[:, pairs[:, 0]] += np.maximum(-coefficients[:, pairs[:, 1]], 0.0)
+    return turned
 
 
 def from_json(text: str) -> KeyMap:
