@@ -11,7 +11,7 @@ from commands import run
 from facemime.blender.animation.clips import clips_of, owners_of, play
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.timeline import rate_of
-from facemime.cli.puppet.files import object_named, open_file
+from facemime.cli.puppet.files import likely_mesh, object_named, open_file
 from facemime.cli.terminal.options import head_file
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.errors import HeadError, SourceError
@@ -71,6 +71,62 @@ def test_every_kind_of_file_is_opened(tmp_path):
         if suffix not in (".ply", ".stl", ".obj"):  # which hold a single mesh, or name it after its data
             assert object_named(named.path, "Face").type in ("MESH", "EMPTY")
         assert any(obj.type == "MESH" and len(obj.data.vertices) > 1000 for obj in bpy.data.objects), suffix
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_lines_of_an_obj_file_may_end_in_any_way(tmp_path, end):
+    vertices = len(add_head(bpy.context).data.vertices)
+    export(tmp_path / "a.obj")
+    data = (tmp_path / "a.obj").read_bytes().replace(b"\r\n", b"\n")
+    (tmp_path / "b.obj").write_bytes(data.replace(b"\n", end))
+    open_file(tmp_path / "b.obj")
+    assert vertices in [len(obj.data.vertices) for obj in bpy.context.scene.objects]
+
+
+def _instanced(tmp_path):
+    """A file that shows a collection of another by an instance."""
+    head, group, scene = add_head(bpy.context), bpy.data.collections.new("Character"), bpy.context.scene
+    for obj in (head, *head.children):
+        obj.users_collection[0].objects.unlink(obj)
+        group.objects.link(obj)
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", group
+    scene.collection.objects.link(instance)
+    export(tmp_path / "a.blend")
+
+
+def _without_library(tmp_path):
+    """A file that links a head of a file that is gone."""
+    add_head(bpy.context)
+    export(tmp_path / "library.blend")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (there, linked):
+        linked.objects = there.objects
+    for obj in linked.objects:
+        bpy.context.scene.collection.objects.link(obj)
+    export(tmp_path / "a.blend")
+    (tmp_path / "library.blend").unlink()
+
+
+def _camera_alone(tmp_path):
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    export(tmp_path / "a.blend")
+
+
+@pytest.mark.parametrize(
+    ("write", "reason"),
+    [
+        (_instanced, "instances of collections instead of meshes: Instance. Make their objects real"),
+        (_without_library, r"links files that are missing: .*library.blend. Relocate them"),
+        (_camera_alone, "has no mesh. Choose another file"),
+    ],
+)
+def test_a_file_without_a_mesh_is_refused_with_what_it_has_instead(tmp_path, write, reason):
+    write(tmp_path)
+    open_file(tmp_path / "a.blend")
+    with pytest.raises(HeadError, match=reason):
+        likely_mesh(tmp_path / "a.blend")
 
 
 def test_a_file_of_another_kind_lists_those_that_can_be_opened(tmp_path):
