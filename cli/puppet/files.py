@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ...blender.animation.clips import Clip, clips_of, owners_of
+from ...blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
@@ -30,6 +30,8 @@ from ..terminal.guard import limited
 from ..terminal.stopping import STOPPING
 from .usd import animation_rate
 
+_GLTF = (".glb", ".gltf", ".vrm")
+
 
 def _import_obj(path: Path) -> None:
     """Import an .obj file, also one whose lines end as on early Macs, which Blender takes for a single line."""
@@ -42,7 +44,7 @@ def _import_obj(path: Path) -> None:
 
 
 _IMPORTERS: Mapping[str, Callable[..., object]] = {
-    **dict.fromkeys((".glb", ".gltf", ".vrm"), lambda path: bpy.ops.import_scene.gltf(filepath=path)),
+    **dict.fromkeys(_GLTF, lambda path: bpy.ops.import_scene.gltf(filepath=path)),
     ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
     ".obj": lambda path: _import_obj(Path(path)),
     ".abc": lambda path: bpy.ops.wm.alembic_import(filepath=path, as_background_job=False),
@@ -127,8 +129,11 @@ def open_file(path: Path) -> None:
             ".blend file."
         ) from error
     _require_plausible(path)
+    clips = clips_of(owners_of(bpy.data.objects))
+    if suffix in _GLTF:
+        play_single(clips)
     # The importers of other files than Alembic and USD leave the range of the scene as it is.
-    if (clips := clips_of(owners_of(bpy.data.objects))) and suffix not in _WITH_RANGE:
+    if clips and suffix not in _WITH_RANGE:
         set_frames(clips)
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from commands import run
-from facemime.blender.animation.clips import clips_of, owners_of, play
+from facemime.blender.animation.clips import clips_of, owners_of, play, play_single
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.timeline import rate_of
 from facemime.cli.puppet.files import likely_mesh, object_named, open_file
@@ -210,6 +210,23 @@ def test_the_clips_of_a_file_are_named_and_can_be_chosen(tmp_path, suffix):
         assert take.pose[-1, 2] == pytest.approx(turn, abs=2e-3) and abs(len(take) - frames) <= 1
     done = run("import", path, "-o", output, "--clip", "Walk")
     assert done.returncode == 1 and "There is no clip Walk. Choose one of: Smile, Talk." in done.stderr
+
+
+def test_clips_of_separate_data_blocks_play_together_and_those_of_the_same_do_not():
+    head = add_head(bpy.context, units=True)
+    with_clips(head)
+    keys = head.data.shape_keys
+    head.animation_data.nla_tracks[0].name = "Turn"
+    for owner in (head, keys):
+        for track in owner.animation_data.nla_tracks:
+            track.mute = True
+    clips = clips_of(owners_of([head]))
+    play_single(clips)
+    assert {name for name, clip in clips.items() if clip.plays} == {"Turn"}
+    keys.animation_data.nla_tracks.remove(keys.animation_data.nla_tracks["Smile"])
+    play_single(clips_of(owners_of([head])))
+    bpy.context.scene.frame_set(LAST)
+    assert head.rotation_euler.z == pytest.approx(0.4) and keys.key_blocks["jawOpen"].value == pytest.approx(0.8)
 
 
 def test_playing_a_clip_mutes_the_others():
