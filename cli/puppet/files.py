@@ -74,6 +74,18 @@ def open_blend(path: Path) -> None:
         raise SourceError(
             f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
         ) from error
+    _leave_modes()
+
+
+def _leave_modes() -> None:
+    """Leave the modes in which a file was saved and nothing can be baked: Edit Mode, and Tweak Mode of NLA strips."""
+    layer = bpy.context.view_layer
+    if (edited := next((obj for obj in layer.objects if obj.mode == "EDIT"), None)) is not None:
+        with bpy.context.temp_override(active_object=edited, object=edited, edit_object=edited):
+            bpy.ops.object.mode_set(mode="OBJECT")
+    for owner in owners_of(bpy.data.objects):
+        if owner.library is None and owner.animation_data is not None:
+            owner.animation_data.use_tweak_mode = False
 
 
 def object_named(path: Path, name: str) -> bpy.types.Object:

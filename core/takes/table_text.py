@@ -23,6 +23,8 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 """Byte order marks; that of UTF-32 begins like that of UTF-16."""
+SUFFIXES = (".csv", ".tsv", ".txt")
+"""Suffixes of tables: Excel's *Unicode Text* is .txt."""
 _SEPARATORS = (",", ";", "\t", "|")
 _HINT = re.compile(r"\"?sep=(.)\"?\s*$", re.IGNORECASE)
 """First line by which Excel is told the separator."""

@@ -9,6 +9,7 @@ import pytest
 
 from commands import run
 from facemime.blender.animation.clips import clips_of, owners_of, play, play_single
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.timeline import rate_of
 from facemime.cli.puppet.files import likely_mesh, object_named, open_file
@@ -16,6 +17,7 @@ from facemime.cli.terminal.options import head_file
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.puppet.job import CHARACTER_SUFFIXES, HeadFile
+from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -81,6 +83,24 @@ def test_lines_of_an_obj_file_may_end_in_any_way(tmp_path, end):
     (tmp_path / "b.obj").write_bytes(data.replace(b"\n", end))
     open_file(tmp_path / "b.obj")
     assert vertices in [len(obj.data.vertices) for obj in bpy.context.scene.objects]
+
+
+def test_a_file_saved_in_edit_mode_or_tweak_mode_is_opened_ready_to_be_baked_to(tmp_path):
+    head = add_head(bpy.context)
+    for frame in (1, 10):
+        head.keyframe_insert("location", frame=frame)
+    data = head.animation_data
+    track = data.nla_tracks.new()
+    strip = track.strips.new("Walk", 1, data.action)
+    data.action, data.nla_tracks.active, strip.select = None, track, True
+    data.use_tweak_mode = True
+    bpy.context.view_layer.objects.active = head
+    bpy.ops.object.mode_set(mode="EDIT")
+    export(tmp_path / "a.blend")
+    open_file(tmp_path / "a.blend")
+    head = bpy.data.objects["Facemime Head"]
+    assert head.mode == "OBJECT" and not head.animation_data.use_tweak_mode
+    puppet_head(bpy.context.scene, head, performance(), PuppetSettings())
 
 
 def _instanced(tmp_path):

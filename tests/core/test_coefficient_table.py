@@ -298,6 +298,13 @@ def test_the_command_imports_a_table_and_exports_the_same_values(tmp_path, writt
         np.testing.assert_allclose(again.pose[:, 1:4], take.pose[:, 1:4], atol=1e-4)
 
 
+@pytest.mark.parametrize(("suffix", "separator"), [(".tsv", "\t"), (".txt", "\t"), (".CSV", ";")])
+def test_a_table_may_have_any_suffix_of_a_spreadsheet(tmp_path, suffix, separator):
+    (tmp_path / f"a{suffix}").write_bytes(GOLDEN.replace(",", separator).encode("utf-16"))
+    assert main(["import", str(tmp_path / f"a{suffix}"), "-o", str(tmp_path / "a.facetake")]) == 0
+    assert len(load_take(tmp_path / "a.facetake")) == 3
+
+
 def test_a_tracked_take_exports_coefficients_too(tmp_path, take):
     out = tmp_path / "a.csv"
     assert main(["export", str(take), "-o", str(out), "--columns", "coefficients"]) == 0
