@@ -87,7 +87,11 @@ class Session:
 
     def survives_undo(self) -> bool:
         """Find the heads again after an undo, and return whether the step that was loaded was taken in the session."""
-        self.heads = [head.found_again() or head for head in self.heads]
+        try:
+            self.heads = [head.found_again() or head for head in self.heads]
+        except HeadError as error:  # one of them can no longer be driven
+            self.warning = str(error)
+            return False
         return any(head.left_in_file for head in self.heads)
 
     def overruled(self) -> list[str]:
@@ -173,7 +177,8 @@ def _clear_undone(*_: object) -> None:
     if goes_on:
         _resume()
     else:
-        session.warning = "The start of the puppet was undone, which stopped it"
+        warning = "The start of the puppet was undone, which stopped it"
+        session.warning = session.warning or warning
         session.close(blocks=False)
 
 

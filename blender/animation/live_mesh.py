@@ -154,6 +154,8 @@ class LiveMesh:
 
     def require_same(self) -> None:
         """Raise HeadError if the mesh was replaced, or changed so that it can no longer be driven."""
+        if not exists(self.mesh):
+            raise changed(self._name)
         keys_deleted = self._shown and (self.mesh.shape_keys is None or _basis_lost(self.mesh))
         if self.obj.data != self.mesh or len(self.mesh.vertices) != self._count or keys_deleted:
             raise changed(self._name)

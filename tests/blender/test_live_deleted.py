@@ -360,3 +360,25 @@ def test_an_invalid_custom_property_is_reported_with_a_remedy(take, name, value)
             assert "Traceback" not in str(error), error
         if running() is not None:
             bpy.ops.facemime.stop_puppet()
+
+
+def test_undoing_into_absolute_keys_stops_the_puppet_with_the_reason(looping):
+    head = add_head(bpy.context, units=True)
+    bpy.context.scene.facemime.drive_by = "KEYS"
+    start()
+    session = running()
+    head.data.shape_keys.use_relative = False
+    bpy.ops.ed.undo_push(message="absolute")
+    bpy.data.objects["Facemime Head"].data.shape_keys.use_relative = True
+    bpy.ops.ed.undo_push(message="relative")
+    assert bpy.ops.ed.undo() == {"FINISHED"} and running() is None
+    assert "Enable Relative" in session.warning
+
+
+def test_a_mesh_that_is_replaced_and_purged_stops_the_puppet_with_an_error(looping):
+    head = add_head(bpy.context)
+    start()
+    before = head.data
+    head.data = bpy.data.meshes.new("Other")
+    bpy.data.meshes.remove(before)
+    assert outcome_of_ticks() == {"CANCELLED"} and running() is None

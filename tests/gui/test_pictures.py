@@ -217,8 +217,9 @@ def test_the_third_tutorial_is_walked_and_each_picture_shows_its_step(studio):
     blender.wait_for(f"'jawOpen' in {rows}")
     blender.do(f"bpy.context.scene.facemime_takes.bake.row = {rows}.index('jawOpen')")
     sidebar.scroll_down()
-    studio.shows("bake_take", "detect_key_map")
+    studio.shows("detect_key_map")
     studio.picture("table")
+    sidebar.open_panel("FACEMIME_PT_takes", children=True)
     studio.press("bake_take")
     keys = f"{HEAD}.data.shape_keys"
     blender.wait_for(f"{keys}.animation_data is not None and {keys}.animation_data.action is not None")
@@ -239,7 +240,7 @@ def add_head_with_keys(studio: Studio) -> None:
     """Choose Head with ARKit Keys > Man in the menu of the plus button."""
     blender, sidebar = studio.blender, studio.sidebar
     box = sidebar.box()
-    x, y = box.x + box.width - 2.7 * sidebar.unit, box.y + 1.05 * sidebar.unit
+    x, y = box.x + box.width - 2.5 * sidebar.unit, box.y + 2.25 * sidebar.unit
     blender.click(x, y)
     blender.redraw()
     blender.click(x + sidebar.unit, y + 2.3 * sidebar.unit)
