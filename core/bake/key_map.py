@@ -30,8 +30,10 @@ _MAX_ROWS, _MAX_VALUE = 10_000, 1e6
 """Largest number of rows, and largest gains and offsets, in a file."""
 ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 """Coefficients without which keys do not form a set for a whole face."""
-_KINDS = ("modifier", "expression", "phoneme")
-"""Prefixes of FaceGen's morphs, which are ignored."""
+_KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshapes", "bs", "morph")
+"""First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
+_NODE = re.compile(r"^.*(?:[.:|]|_(?=Fcl_))", re.IGNORECASE)
+"""Name of a node before that of a key, as Maya and VRoid Studio write it."""
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
@@ -168,7 +170,7 @@ class KeyMap:
 
     def matched(self, keys: Iterable[str]) -> KeyMap:
         """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
-        known = {normalised(key): key for key in reversed(list(keys))}
+        known = _by_name(list(keys))
         rows = (replace(row, key=known[normalised(row.key)]) for row in self.rows if normalised(row.key) in known)
         return KeyMap(self.name, tuple(rows))
 
@@ -244,19 +246,25 @@ def expression_keys(keys: Sequence[str]) -> list[str]:
 def known_expressions(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
-    return [key for key in keys if normalised(key) in known]
+    return [key for key in keys if not known.isdisjoint(_by_name([key]))]
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
     """Return the pairs of `keys`, by position, that are named as ARKit's coefficients which exclude each other."""
-    places = {normalised(key): place for place, key in reversed(list(enumerate(keys)))}
-    pairs = (tuple(places.get(normalised(name), -1) for name in pair) for pair in EXCLUSIVE_NAMES)
-    return [(one, other) for one, other in pairs if one >= 0 and other >= 0]
+    known, keys = _by_name(keys), list(keys)
+    pairs = [[known.get(normalised(name)) for name in pair] for pair in EXCLUSIVE_NAMES]
+    return [(keys.index(one), keys.index(other)) for one, other in pairs if one is not None and other is not None]
+
+
+def _by_name(keys: Sequence[str]) -> dict[str, str]:
+    """Return keys by their normalised names, with and without that of a node; the first of each counts."""
+    bare = {normalised(_NODE.sub("", key)): key for key in reversed(keys)}
+    return bare | {normalised(key): key for key in reversed(keys)}
 
 
 def normalised(name: str) -> str:
-    """Normalise a name for comparison: `eyeBlink_L` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
-    words = re.sub(r"[\W_]+", " ", name).strip()
+    """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
+    words = re.sub(r"[\W_]+", " ", re.sub(r"(?<=[a-z])(?=[LR]$)", " ", name)).strip()
     for short, side in (("L", "left"), ("R", "right")):
         words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
     first, _, rest = words.partition(" ")
