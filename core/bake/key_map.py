@@ -155,10 +155,11 @@ class KeyMap:
             are those values, negative ones as the coefficient of the opposite motion, and others are 0.
         """
         names = COEFFICIENTS
-        if len(self.rows) == len(self.keys) == len(self.sources) and all(row.gain for row in self.rows):
+        if self._states_each_once():
             found = np.zeros((len(near), len(names)))
-            for row in self.rows:
-                found[:, names.index(row.source)] = (values[row.key] - row.offset) / row.gain
+            for row in self.rows:  # of keys of several nodes, the one furthest from 0
+                column, value = names.index(row.source), (values[row.key] - row.offset) / row.gain
+                found[:, column] = np.where(np.abs(value) > np.abs(found[:, column]), value, found[:, column])
             return np.clip(_without_opposites(found), 0.0, 1.0)
         gains, wanted = np.zeros((len(self.keys), len(names))), np.column_stack([values[key] for key in self.keys])
         for row in self.rows:
@@ -168,10 +169,19 @@ class KeyMap:
         products = _FIRMNESS * wanted @ gains + near
         return bounded_least_squares(gram, products, np.zeros(len(names)), np.ones(len(names)))
 
+    def _states_each_once(self) -> bool:
+        """Return whether each key is a coefficient, of which each has one key, or one of each node."""
+        names = {(row.source, normalised(_NODE.sub("", row.key))) for row in self.rows}
+        single = len(self.rows) == len(self.keys) and all(row.gain for row in self.rows)
+        return single and (len(names) == len(self.sources) or len(self.keys) == len(self.sources))
+
     def matched(self, keys: Iterable[str]) -> KeyMap:
-        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
-        known = _by_name(list(keys))
-        rows = (replace(row, key=known[normalised(row.key)]) for row in self.rows if normalised(row.key) in known)
+        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`.
+
+        A key of each node counts, as Maya has a node for each mesh.
+        """
+        known = _by_name(keys)
+        rows = (replace(row, key=key) for row in self.rows for key in known.get(normalised(row.key), ()))
         return KeyMap(self.name, tuple(rows))
 
     def to_json(self) -> str:
@@ -251,15 +261,19 @@ def known_expressions(keys: Sequence[str]) -> list[str]:
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
     """Return the pairs of `keys`, by position, that are named as ARKit's coefficients which exclude each other."""
-    known, keys = _by_name(keys), list(keys)
-    pairs = [[known.get(normalised(name)) for name in pair] for pair in EXCLUSIVE_NAMES]
-    return [(keys.index(one), keys.index(other)) for one, other in pairs if one is not None and other is not None]
+    known, places = _by_name(keys), {key: place for place, key in reversed(list(enumerate(keys)))}
+    pairs = [[known.get(normalised(name), []) for name in pair] for pair in EXCLUSIVE_NAMES]
+    return [(places[one], places[other]) for ones, others in pairs for one in ones for other in others]
 
 
-def _by_name(keys: Sequence[str]) -> dict[str, str]:
-    """Return keys by their normalised names, with and without that of a node; the first of each counts."""
-    bare = {normalised(_NODE.sub("", key)): key for key in reversed(keys)}
-    return bare | {normalised(key): key for key in reversed(keys)}
+def _by_name(keys: Iterable[str]) -> dict[str, list[str]]:
+    """Return keys by their normalised names, with and without that of a node; the first one of each node."""
+    found: dict[str, dict[str, str]] = {}
+    for key in keys:
+        bare = _NODE.sub("", key)
+        for name in (normalised(key), normalised(bare)):
+            found.setdefault(name, {}).setdefault(key.removesuffix(bare), key)
+    return {name: list(of.values()) for name, of in found.items()}
 
 
 def normalised(name: str) -> str:

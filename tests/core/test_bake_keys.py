@@ -141,6 +141,16 @@ def test_the_name_of_a_node_before_that_of_a_key_does_not_matter(node):
     assert pairs == ([] if node[-1] == "_" else [(0, 2)])
 
 
+def test_keys_of_several_nodes_are_all_set_and_give_back_one_coefficient():
+    keys = [f"blendShape{node}.{name}" for node in (1, 2) for name in COEFFICIENTS]
+    table, values = presets()[0].matched([*keys, "blendShape1.jaw_open"]), np.zeros((2, len(COEFFICIENTS)))
+    assert set(table.keys) == set(keys)
+    values[1, 3] = 0.7
+    posed = table.apply(values, dict.fromkeys(keys, (0.0, 1.0)))
+    assert all(posed[f"blendShape{node}.{COEFFICIENTS[3]}"][1] == 0.7 for node in (1, 2))
+    np.testing.assert_allclose(table.invert(posed, np.full_like(values, 0.5)), values)
+
+
 def test_names_that_merely_end_in_l_or_r_are_unchanged():
     assert normalised("R") == "r" and normalised("Curl") == "curl"
 
