@@ -8,6 +8,8 @@ from typing import Any
 
 import bpy
 
+from .muting import mute_for_now
+
 
 def collections_in(place: bpy.types.LayerCollection) -> Iterator[bpy.types.LayerCollection]:
     """Yield all collections below one of a view layer, parents first: excluding one excludes those in it."""
@@ -20,7 +22,7 @@ def collections_in(place: bpy.types.LayerCollection) -> Iterator[bpy.types.Layer
 def revealed(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Make objects visible and selectable in the view layer for a while, with the collections that have them.
 
-    Blender evaluates and selects only what is visible.
+    Blender evaluates and selects only what is visible. Animation and drivers that hide an object are muted.
 
     Parameters
     ----------
@@ -39,6 +41,7 @@ def revealed(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
             if obj.name not in layer.objects:  # of another scene
                 scene.collection.objects.link(obj)
                 stack.callback(scene.collection.objects.unlink, obj)
+            mute_for_now(stack, obj, ["hide_viewport"])
             for name in ("hide_viewport", "hide_select"):
                 set_for_now(stack, obj, name, False)
         layer.update()

@@ -62,14 +62,22 @@ def _varies(curve: bpy.types.FCurve) -> bool:
 
 
 def curve_paths(owner: bpy.types.ID) -> set[str]:
-    """Return the data paths of all curves, strips and drivers of `owner` but those of bakes, even of muted ones."""
-    data = owner.animation_data
+    """Return the data paths of the curves and strips of `owner` that play, or did before a bake muted them.
+
+    Those of bakes do not count, nor do drivers: what these and muted curves move has the value that is shown.
+    """
+    data, noted = owner.animation_data, _lines(owner)
     if data is None:
         return set()
-    strips = (strip for track in data.nla_tracks for strip in track.strips)
-    keyed = (curve.data_path for holder in (data, *strips) for curve in curves_in(holder))
-    owned = set().union(*(owned_paths(holder) for holder in (data, *tracked_strips(owner))))
-    return set(keyed) - owned | {driver.data_path for driver in data.drivers}
+    tracks = [track for track in data.nla_tracks if not track.mute or [_TRACK, track.name] in noted]
+    holders = [data, *(strip for track in tracks for strip in track.strips if not strip.mute)]
+    keyed = {
+        curve.data_path
+        for holder in holders
+        for curve in curves_in(holder)
+        if not curve.mute or [_CURVE, curve.data_path] in noted
+    }
+    return keyed - set().union(*(owned_paths(holder) for holder in (data, *tracked_strips(owner))))
 
 
 def strips_of(owner: bpy.types.ID) -> list[bpy.types.NlaStrip]:
@@ -180,20 +188,24 @@ def mute_for_now(stack: ExitStack, owner: bpy.types.ID, paths: Collection[str]) 
 
 def unmute_noted(owner: bpy.types.ID) -> None:
     """Unmute what bakes muted of the animation of `owner`."""
-    data, noted = owner.animation_data, str(owner.get(_MUTED, ""))
-    if data is None or not noted:
+    data, lines = owner.animation_data, _lines(owner)
+    if data is None or not lines:
         return
-    lines = [line.partition(" ")[::2] for line in noted.split("\n")]
     for curve in curves_in(data):
-        if (_CURVE, curve.data_path) in lines:
+        if [_CURVE, curve.data_path] in lines:
             curve.mute = False
     for driver in data.drivers:
-        if (_DRIVER, driver.data_path) in lines:
+        if [_DRIVER, driver.data_path] in lines:
             driver.mute = False
     for track in data.nla_tracks:
-        if (_TRACK, track.name) in lines:
+        if [_TRACK, track.name] in lines:
             track.mute = False
     del owner[_MUTED]
+
+
+def _lines(owner: bpy.types.ID) -> list[list[str]]:
+    """Return what bakes muted of `owner`: kinds, and data paths or names."""
+    return [line.split(" ", 1) for line in str(owner.get(_MUTED, "")).split("\n") if line]
 
 
 def _noted(owner: bpy.types.ID, muted: list[tuple[str, str, str]]) -> list[Silenced]:

@@ -12,8 +12,18 @@ def rate_of(scene: bpy.types.Scene) -> float:
     return float(scene.render.fps / scene.render.fps_base)
 
 
+def keyed_frame(scene: bpy.types.Scene, frame: float) -> float:
+    """Return the frame of keyframes that `frame` of the scene shows, which Time Stretching tells apart."""
+    return float(frame * scene.render.frame_map_old / scene.render.frame_map_new)
+
+
+def shown_frames(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Return the frames of the scene that show keyframes at `frames`, (N,); the inverse of `keyed_frame`."""
+    return frames * scene.render.frame_map_new / scene.render.frame_map_old
+
+
 def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
-    """Convert times to frames of the scene.
+    """Convert times to frames of keyframes in the scene.
 
     Parameters
     ----------

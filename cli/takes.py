@@ -24,6 +24,7 @@ from ..core.takes.neutral import calibrate
 from ..core.takes.settings import BLEND, Mending
 from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
+from ..core.takes.table_text import SUFFIXES as TABLES
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.blender import importing_blender
@@ -248,7 +249,7 @@ def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUT
     angles : str
         Unit of the rotation of the head in a table.
     """
-    is_table = source.path.suffix.lower() == ".csv"
+    is_table = source.path.suffix.lower() in TABLES
     if is_table and clip:
         raise FacemimeError("A table has no clips. Leave out --clip.")
     described = "the table that is imported" if is_table else "the animation that is imported"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,23 +55,31 @@ left to right."""
 
 
 def _spellings() -> dict[str, int]:
-    """Column of each coefficient by all its spellings in lower case: `eyeBlinkLeft`, `EyeBlinkLeft`, `eyeBlink_L`."""
+    """Column of each coefficient by its spellings as letters in lower case: `eyeblinkleft` and `eyeblinkl`."""
     found = {}
     for name, column in COEFFICIENT_INDEX.items():
         found[name.lower()] = column
         for side in ("Left", "Right"):
             if name.endswith(side):
-                found[f"{name.removesuffix(side)}_{side[0]}".lower()] = column
+                found[f"{name.removesuffix(side)}{side[0]}".lower()] = column
     return found
 
 
-_PREFIX = re.compile(r"^.*[.|:/]")
 SPELLINGS: Mapping[str, int] = _spellings()
+_SUFFIX = re.compile(r"[.|:/](?:weight|value)s?$|[\])]$", re.IGNORECASE)
+_PREFIX = re.compile(r"^.*[.|:/\[(](?=...)")
+"""That of a node, but not the name before the `.L` of a side."""
+_SET = re.compile(r"^(?:arkit|blendshapes?|bs)")
+"""Names of the set that some programs put before those of its coefficients."""
 
 
+@lru_cache(maxsize=1024)
 def column_of(name: str) -> int | None:
     """Return the column of a coefficient by any of its usual names, or None for other names.
 
-    A prefix such as that of a node, as in `blendShapes.EyeBlinkLeft` or `Head|jawOpen`, does not matter.
+    Capitals and what separates words do not matter, as in `eye_blink_left` or `EyeBlink_L`, nor does the name of a node
+    or a set, as in `blendShapes.EyeBlinkLeft`, `Head|jawOpen` or `weights[jawOpen]`.
     """
-    return SPELLINGS.get(_PREFIX.sub("", name).lower())
+    letters = re.sub(r"[\W_]", "", _PREFIX.sub("", _SUFFIX.sub("", name.strip()))).lower()
+    found = SPELLINGS.get(letters)
+    return SPELLINGS.get(_SET.sub("", letters)) if found is None else found

@@ -13,6 +13,8 @@ from ..core.live.sources import PacedSource
 from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
+from ..core.takes.table_text import SUFFIXES as TABLES
+from ..core.takes.take import Take
 from ..sessions.countdown import COUNTDOWN
 from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
@@ -159,7 +161,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     bl_idname = "facemime.import_take"
     bl_label = "Import Take"
 
-    filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in (SUFFIX, *TABLES)), options={"HIDDEN"})
     angles: EnumProperty(
         name="Angles",
         description="Unit of the rotation of the head in a table",
@@ -173,11 +175,10 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Read the file and add it to the list."""
         path = self.path
-        if path.suffix.lower() == ".csv":
+        if path.suffix.lower() in TABLES:
             take = from_any_csv(path, self.angles)
             takes_store.keep(context.scene, take, path.stem)
-            for note in take.info.get("notes", []):
-                report(self, str(note))
+            _report_notes(self, take)
             return
         take = load_take(path)
         takes_store.add(context.scene, path, take)
@@ -240,6 +241,13 @@ class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
         line = takes_store.keep(context.scene, take, head.name)
         count, name = len(take), line.name
         report(self, f"{count} frames sampled as the take {name}")
+        _report_notes(self, take)
+
+
+def _report_notes(operator: bpy.types.Operator, take: Take) -> None:
+    """Report what was decided when a take was made from something else."""
+    for note in take.info.get("notes", []):
+        report(operator, str(note))
 
 
 CLASSES = (

@@ -13,6 +13,7 @@ import bpy
 
 from ..blender.animation.scene_range import start_frame
 from ..blender.animation.targets import PoseTarget, own_targets
+from ..blender.timeline import keyed_frame
 from ..core.assets import ASSETS
 from ..core.bake.settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
 from ..core.capture import is_address
@@ -107,7 +108,7 @@ def place_take(scene: bpy.types.Scene) -> float:
 def take_start(scene: bpy.types.Scene) -> float:
     """Return the frame at 0 s of a take, at which the last one was placed if it started at the current frame."""
     bake = scene.facemime_takes.bake
-    return float(bake.placed) if bake.start == CURRENT_FRAME else start_frame(scene, bake.start)
+    return keyed_frame(scene, bake.placed) if bake.start == CURRENT_FRAME else start_frame(scene, bake.start)
 
 
 def face_of(source: FacemimeSource) -> tuple[float, float] | None:

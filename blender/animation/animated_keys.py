@@ -17,6 +17,8 @@ from .bake_keys import key_names
 
 _STILL = 1e-4
 """Largest value of keys that count as not animated: less than a step of a take's coefficients matters."""
+_MOST = 1.001
+"""Value above which a key is exaggerated: single precision exceeds 1 by less."""
 _LOOKS = {COEFFICIENTS[column] for column in LOOKS}
 
 
@@ -55,6 +57,10 @@ class AnimatedKeys:
         if self._table is None or not self.moved or not seen.any():
             return
         values = np.array(self._rows)[seen]
+        if limited := [name for name, column in zip(self._names, values.T, strict=True) if column.max() > _MOST]:
+            names = ", ".join(limited)
+            warning = f"Coefficients are at most 1, to which these keys were limited: {names}."
+            take.info["notes"] = [*take.info.get("notes", []), warning]
         solved = arkit_coefficients(take, calibrate(take))
         if not np.isfinite(take.gaze[seen]).all():
             solved[:, LOOKS] = 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
@@ -95,7 +96,30 @@ def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> N
             data.action = None
             for track in data.nla_tracks:
                 track.mute = True
-    for owner, (action, handle) in clips[name].actions.items():
+    _assign(clips[name])
+
+
+def play_single(clips: dict[str, Clip]) -> None:
+    """Play also the clips whose data-blocks are in no other one.
+
+    Exporters may write the actions of a performance, such as that of the head and that of its shape keys, as a clip
+    each, of which the importer of glTF plays the first.
+
+    Parameters
+    ----------
+    clips : dict of str to Clip
+        From `clips_of`.
+    """
+    count = Counter(owner for clip in clips.values() for owner in clip.actions)
+    for clip in clips.values():
+        if not clip.plays and all(count[owner] == 1 for owner in clip.actions):
+            _assign(clip)
+
+
+def _assign(clip: Clip) -> None:
+    """Make the actions of a clip the active ones."""
+    clip.plays = True
+    for owner, (action, handle) in clip.actions.items():
         data = owner.animation_data_create()
         data.action = action
         if not hasattr(data, "action_slot_handle"):  # up to Blender 4.3

@@ -49,6 +49,7 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
             check_existing=False,
             export_format="GLB",
             use_selection=True,
+            use_active_scene=True,  # an object may be in further scenes, each with a selection of its own
             # One clip: players show one at a time, and a face consists of the keys of several meshes.
             export_animation_mode="SCENE",
             export_anim_scene_split_object=False,

@@ -13,6 +13,7 @@ from ...core.bake.settings import CURRENT_FRAME, SCENE_START
 from ..media.sound import is_of_take, strips_of
 from ..muting import others_playing
 from ..names import RANGE_PROPERTY
+from ..timeline import keyed_frame, shown_frames
 
 _PARTS = ("shape_keys", "node_tree")
 """Data-blocks that belong to one other."""
@@ -21,7 +22,7 @@ _DEFAULT_RANGE = (1, 250)
 
 
 def start_frame(scene: bpy.types.Scene, choice: str) -> float:
-    """Return the frame of a scene at 0 s of a take.
+    """Return the frame of keyframes at 0 s of a take.
 
     Parameters
     ----------
@@ -29,9 +30,8 @@ def start_frame(scene: bpy.types.Scene, choice: str) -> float:
     choice : {"first", "current", "scene"}
         As in `BakeSettings`.
     """
-    if choice == CURRENT_FRAME:
-        return float(scene.frame_current)
-    return float(scene.frame_start) if choice == SCENE_START else 1.0
+    shown = {CURRENT_FRAME: scene.frame_current, SCENE_START: scene.frame_start}
+    return keyed_frame(scene, shown.get(choice, 1))
 
 
 def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating], choice: str, *, asked: bool = False) -> None:
@@ -41,7 +41,7 @@ def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating], choice: str,
     ----------
     scene : bpy.types.Scene
     frames : (N,) array
-        Frames of the take, increasing.
+        Frames of the take's keyframes, increasing.
     choice : {"first", "current", "scene"}
         Where the take starts; a take that starts with the scene leaves the first frame of the range.
     asked : bool
@@ -49,15 +49,16 @@ def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating], choice: str,
     """
     if not asked and not _is_free(scene):
         return
+    first, last = _ends(scene, frames)
     if choice != SCENE_START:
-        scene.frame_start = int(np.floor(frames[0] + 1e-3))
-    scene.frame_end = max(scene.frame_start, int(np.ceil(frames[-1] - 1e-3)))
+        scene.frame_start = first
+    scene.frame_end = max(scene.frame_start, last)
     scene[RANGE_PROPERTY] = [scene.frame_start, scene.frame_end]
 
 
 def outside_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> str:
     """Return a warning if a take is not all in the frame range of a scene, and otherwise an empty text."""
-    first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
+    first, last = _ends(scene, frames)
     start, end = scene.frame_start, scene.frame_end
     if start <= first and last <= end:
         return ""
@@ -73,7 +74,7 @@ def holding_take(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> Iterat
     """Extend the frame range of a scene for a while, if it does not contain all of a take, to that or to the take."""
     before = scene.frame_start, scene.frame_end
     if outside_range(scene, frames):
-        first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
+        first, last = _ends(scene, frames)
         apart = last < before[0] or first > before[1]
         scene.frame_start = first if apart else min(first, before[0])
         scene.frame_end = last if apart else max(last, before[1])
@@ -81,6 +82,12 @@ def holding_take(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> Iterat
         yield
     finally:
         scene.frame_start, scene.frame_end = before
+
+
+def _ends(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> tuple[int, int]:
+    """Return the first and the last frame of a scene in which keyframes at `frames` play."""
+    shown = shown_frames(scene, frames)
+    return int(np.floor(shown[0] + 1e-3)), int(np.ceil(shown[-1] - 1e-3))
 
 
 def _is_free(scene: bpy.types.Scene) -> bool:

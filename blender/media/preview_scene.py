@@ -16,6 +16,7 @@ from ..characters import objects_of
 from ..collections import collections_in
 from ..frames import to_blender
 from ..meshes import can_be_driven, read_places
+from ..muting import mute_paths
 from ..names import PART_PROPERTY
 from ..surfaces import show_colour_images
 
@@ -155,6 +156,7 @@ def _show_in_renders(scene: bpy.types.Scene, head: bpy.types.Object) -> None:
     """Let renders show a head with its parts, even if they are hidden or in an excluded collection."""
     parts = [child for child in head.children if PART_PROPERTY in child]
     for obj in (head, *parts, *objects_of(head)):
+        mute_paths(obj, ["hide_render"])
         obj.hide_render = False
     for layer in scene.view_layers:
         for place in collections_in(layer.layer_collection):

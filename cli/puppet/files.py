@@ -9,7 +9,7 @@ from pathlib import Path
 
 import bpy
 
-from ...blender.animation.clips import Clip, clips_of, owners_of
+from ...blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
@@ -22,6 +22,7 @@ from ...blender.meshes import can_be_driven
 from ...core.binding.bind import Binding
 from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import FacemimeError, HeadError, SourceError
+from ...core.locks import temporary_folder
 from ...core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ...core.takes.file_rate import gltf_of
 from ..terminal.console import tell
@@ -29,10 +30,23 @@ from ..terminal.guard import limited
 from ..terminal.stopping import STOPPING
 from .usd import animation_rate
 
+_GLTF = (".glb", ".gltf", ".vrm")
+
+
+def _import_obj(path: Path) -> None:
+    """Import an .obj file, also one whose lines end as on early Macs, which Blender takes for a single line."""
+    if b"\r" not in (data := path.read_bytes()) or b"\n" in data:
+        bpy.ops.wm.obj_import(filepath=str(path))
+        return
+    with temporary_folder() as folder:
+        (folder / path.name).write_bytes(data.replace(b"\r", b"\n"))
+        bpy.ops.wm.obj_import(filepath=str(folder / path.name))
+
+
 _IMPORTERS: Mapping[str, Callable[..., object]] = {
-    **dict.fromkeys((".glb", ".gltf", ".vrm"), lambda path: bpy.ops.import_scene.gltf(filepath=path)),
+    **dict.fromkeys(_GLTF, lambda path: bpy.ops.import_scene.gltf(filepath=path)),
     ".fbx": lambda path: bpy.ops.import_scene.fbx(filepath=path),
-    ".obj": lambda path: bpy.ops.wm.obj_import(filepath=path),
+    ".obj": lambda path: _import_obj(Path(path)),
     ".abc": lambda path: bpy.ops.wm.alembic_import(filepath=path, as_background_job=False),
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), lambda path: bpy.ops.wm.usd_import(filepath=path)),
     ".ply": lambda path: bpy.ops.wm.ply_import(filepath=path),
@@ -60,6 +74,18 @@ def open_blend(path: Path) -> None:
         raise SourceError(
             f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
         ) from error
+    _leave_modes()
+
+
+def _leave_modes() -> None:
+    """Leave the modes in which a file was saved and nothing can be baked: Edit Mode, and Tweak Mode of NLA strips."""
+    layer = bpy.context.view_layer
+    if (edited := next((obj for obj in layer.objects if obj.mode == "EDIT"), None)) is not None:
+        with bpy.context.temp_override(active_object=edited, object=edited, edit_object=edited):
+            bpy.ops.object.mode_set(mode="OBJECT")
+    for owner in owners_of(bpy.data.objects):
+        if owner.library is None and owner.animation_data is not None:
+            owner.animation_data.use_tweak_mode = False
 
 
 def object_named(path: Path, name: str) -> bpy.types.Object:
@@ -115,8 +141,11 @@ def open_file(path: Path) -> None:
             ".blend file."
         ) from error
     _require_plausible(path)
+    clips = clips_of(owners_of(bpy.data.objects))
+    if suffix in _GLTF:
+        play_single(clips)
     # The importers of other files than Alembic and USD leave the range of the scene as it is.
-    if (clips := clips_of(owners_of(bpy.data.objects))) and suffix not in _WITH_RANGE:
+    if clips and suffix not in _WITH_RANGE:
         set_frames(clips)
 
 
@@ -151,7 +180,22 @@ def likely_mesh(path: Path) -> bpy.types.Object:
         meshes = (obj for obj in scene.objects if obj.type == "MESH" and len(obj.data.polygons))
         if (found := chosen or next(meshes, None)) is not None:
             return found
-    raise HeadError(f"{path} has no mesh. Choose another file.")
+    raise HeadError(_why_without_mesh(path))
+
+
+def _why_without_mesh(path: Path) -> str:
+    """Return why the open file has no mesh in a scene, and what to do."""
+    libraries = (library.filepath for library in bpy.data.libraries)
+    if missing := [place for place in libraries if not os.path.exists(bpy.path.abspath(place))]:
+        names = ", ".join(missing)
+        return f"{path} links files that are missing: {names}. Relocate them in Blender, and save it again."
+    if instances := [obj.name for obj in bpy.data.objects if obj.instance_collection is not None]:
+        names = ", ".join(instances)
+        return (
+            f"{path} has instances of collections instead of meshes: {names}. Make their objects real in Blender: "
+            "Object > Apply > Make Instances Real."
+        )
+    return f"{path} has no mesh. Choose another file."
 
 
 @contextmanager

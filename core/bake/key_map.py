@@ -30,8 +30,10 @@ _MAX_ROWS, _MAX_VALUE = 10_000, 1e6
 """Largest number of rows, and largest gains and offsets, in a file."""
 ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 """Coefficients without which keys do not form a set for a whole face."""
-_KINDS = ("modifier", "expression", "phoneme")
-"""Prefixes of FaceGen's morphs, which are ignored."""
+_KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshapes", "bs", "morph")
+"""First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
+_NODE = re.compile(r"^.*(?:[.:|]|_(?=Fcl_))", re.IGNORECASE)
+"""Name of a node before that of a key, as Maya and VRoid Studio write it."""
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
@@ -150,14 +152,15 @@ class KeyMap:
         -------
         (N, 52) float64
             Coefficients, 0 to 1, for which `apply` gives the values. If each key of the table is a coefficient, they
-            are those values, and others are 0.
+            are those values, negative ones as the coefficient of the opposite motion, and others are 0.
         """
         names = COEFFICIENTS
-        if len(self.rows) == len(self.keys) == len(self.sources) and all(row.gain for row in self.rows):
+        if self._states_each_once():
             found = np.zeros((len(near), len(names)))
-            for row in self.rows:
-                found[:, names.index(row.source)] = (values[row.key] - row.offset) / row.gain
-            return np.clip(found, 0.0, 1.0)
+            for row in self.rows:  # of keys of several nodes, the one furthest from 0
+                column, value = names.index(row.source), (values[row.key] - row.offset) / row.gain
+                found[:, column] = np.where(np.abs(value) > np.abs(found[:, column]), value, found[:, column])
+            return np.clip(_without_opposites(found), 0.0, 1.0)
         gains, wanted = np.zeros((len(self.keys), len(names))), np.column_stack([values[key] for key in self.keys])
         for row in self.rows:
             gains[self.keys.index(row.key), names.index(row.source)] += row.gain
@@ -166,10 +169,19 @@ class KeyMap:
         products = _FIRMNESS * wanted @ gains + near
         return bounded_least_squares(gram, products, np.zeros(len(names)), np.ones(len(names)))
 
+    def _states_each_once(self) -> bool:
+        """Return whether each key is a coefficient, of which each has one key, or one of each node."""
+        names = {(row.source, normalised(_NODE.sub("", row.key))) for row in self.rows}
+        single = len(self.rows) == len(self.keys) and all(row.gain for row in self.rows)
+        return single and (len(names) == len(self.sources) or len(self.keys) == len(self.sources))
+
     def matched(self, keys: Iterable[str]) -> KeyMap:
-        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`."""
-        known = {normalised(key): key for key in reversed(list(keys))}
-        rows = (replace(row, key=known[normalised(row.key)]) for row in self.rows if normalised(row.key) in known)
+        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`.
+
+        A key of each node counts, as Maya has a node for each mesh.
+        """
+        known = _by_name(keys)
+        rows = (replace(row, key=key) for row in self.rows for key in known.get(normalised(row.key), ()))
         return KeyMap(self.name, tuple(rows))
 
     def to_json(self) -> str:
@@ -179,6 +191,14 @@ class KeyMap:
             indent=1,
             ensure_ascii=False,
         )
+
+
+def _without_opposites(coefficients: FloatArray) -> FloatArray:
+    """Turn negative coefficients, (N, 52), into positive ones of the motions that these exclude."""
+    pairs = np.array([[COEFFICIENTS.index(name) for name in pair] for pair in EXCLUSIVE_NAMES])
+    pairs, turned = np.concatenate([pairs, pairs[:, ::-1]]), coefficients.copy()
+    turned[:, pairs[:, 0]] += np.maximum(-coefficients[:, pairs[:, 1]], 0.0)
+    return turned
 
 
 def from_json(text: str) -> KeyMap:
@@ -236,19 +256,29 @@ def expression_keys(keys: Sequence[str]) -> list[str]:
 def known_expressions(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
-    return [key for key in keys if normalised(key) in known]
+    return [key for key in keys if not known.isdisjoint(_by_name([key]))]
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
     """Return the pairs of `keys`, by position, that are named as ARKit's coefficients which exclude each other."""
-    places = {normalised(key): place for place, key in reversed(list(enumerate(keys)))}
-    pairs = (tuple(places.get(normalised(name), -1) for name in pair) for pair in EXCLUSIVE_NAMES)
-    return [(one, other) for one, other in pairs if one >= 0 and other >= 0]
+    known, places = _by_name(keys), {key: place for place, key in reversed(list(enumerate(keys)))}
+    pairs = [[known.get(normalised(name), []) for name in pair] for pair in EXCLUSIVE_NAMES]
+    return [(places[one], places[other]) for ones, others in pairs for one in ones for other in others]
+
+
+def _by_name(keys: Iterable[str]) -> dict[str, list[str]]:
+    """Return keys by their normalised names, with and without that of a node; the first one of each node."""
+    found: dict[str, dict[str, str]] = {}
+    for key in keys:
+        bare = _NODE.sub("", key)
+        for name in (normalised(key), normalised(bare)):
+            found.setdefault(name, {}).setdefault(key.removesuffix(bare), key)
+    return {name: list(of.values()) for name, of in found.items()}
 
 
 def normalised(name: str) -> str:
-    """Normalise a name for comparison: `eyeBlink_L` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
-    words = re.sub(r"[\W_]+", " ", name).strip()
+    """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
+    words = re.sub(r"[\W_]+", " ", re.sub(r"(?<=[a-z])(?=[LR]$)", " ", name)).strip()
     for short, side in (("L", "left"), ("R", "right")):
         words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
     first, _, rest = words.partition(" ")

@@ -30,11 +30,11 @@ _ON_SKIN = _words(
     r"face_brow",
     r"(?:beard|goatee|whisker|stubble|side_?burn)",
     r"mo?usta(?:ch|sh)e?",
-    rf"{_EYE}(?:liner?|shadow|occlusion|wetness|moisture|blend|edge|crease)",
+    rf"{_EYE}(?:liner?|shadow|occlusion|wetness|moisture|blend|edge|shell|crease)",
     r"occlusion",
     r"tear_?(?:line|film|duct)?",
     r"lacrimal(?:_fluid)?",
-    r"caruncle",
+    r"caruncle|cartilage",
     r"face_mouth",
     r"(?:inner_)?mouth_(?:wall|bag|cavity|sock|socket|inside|interior|inner)",
     r"face_(?:hair|fuzz)|facial_hair|peach_fuzz",
@@ -45,7 +45,7 @@ _ON_HEAD = _words(
     r"hair(?:_?(?:band|line|cap|card|cut|style|do|piece|front|back|side|strand|tie|pin|clip|bow)s?)?",
     r"(?:pony|pig|twin|side)_tail",
     r"braid",
-    r"(?:fringe|bangs?|bun|ahoge|mohawk|dreads?|wig)",
+    r"(?:fringe|bangs?|bun|ahoge|mohawk|afro|dreads?|wig)",
     r"(?:sun|eye|reading)?_?glass(?:es)?(?:_(?:frame|lens|lense)s?)?",
     r"goggle",
     r"spectacles?",
@@ -53,7 +53,7 @@ _ON_HEAD = _words(
     r"monocle",
     r"ear_(?:ring|bud|phone|muff|stud)",
     r"head_(?:phone|band|set|wear|dress|gear|scarf|piece)",
-    r"(?:helm|helmet|visor|mask|horn|antler|crown|tiara|hat|cap|beanie|hood|halo|veil|piercing|ribbon)",
+    r"(?:helm|helmet|visor|mask|horn|antler|crown|tiara|hat|fedora|beret|turban|cap|beanie|hood|halo|veil|piercing|ribbon)",
 )
 _EYES = _words(
     rf"(?:face_)?{_EYE}(?:ball|iris|white|highlight|pupil|lens|shine|reflex|reflection|cornea|sclera|inner|outer|all)?s?",
@@ -64,11 +64,11 @@ _EYES = _words(
 _EYE_SKIN = _words(r"(?:upper_|lower_)?eye_(?:lid|socket|bag|let)", r"eye_(?:upper_|lower_)?lid")
 """Skin that is named after the eye."""
 _NATIVE = (
-    (re.compile(r"眉|睫|まつ[毛げ]|髭|ひげ|胡"), Part.ON_SKIN),
+    (re.compile(r"眉|睫|まつ[毛げ]|髭|ひげ|胡|[目眼]の?影"), Part.ON_SKIN),
     (re.compile(r"舌"), Part.TEETH_LOWER),
     (re.compile(r"[歯齿牙]"), Part.TEETH_UPPER),
     (re.compile(r"髪|头发|頭髮|眼鏡|眼镜|メガネ|帽"), Part.ON_HEAD),
-    (re.compile(r"[目眼瞳]|虹彩"), Part.EYE_LEFT),
+    (re.compile(r"[目眼瞳]|虹彩|ハイライト"), Part.EYE_LEFT),
 )
 """Names in Japanese and Chinese, in which many avatars are made, and which do not separate words."""
 _NAMED = (
@@ -87,14 +87,17 @@ _LOWER = re.compile(r"lower|bottom|mandib| low | jaw | bot | btm |下")
 _UPPER = re.compile(r"upper|maxill| up | top |上")
 _BODY = _words(
     r"(?:body|bodies|torso|foot|feet|hand|leg|arm|nail|finger|toe)",
-    r"(?:cloth|clothes|clothing|outfit|wear|under_wear|garment|uniform|costume|kimono|suit|armou?r|accessor(?:y|ies))",
+    r"(?:cloth|clothes|clothing|outfit|wear|under_wear|garment|uniform|costume|kimono|(?:casual_|elegant_|sport_)?suit|armou?r|accessor(?:y|ies))",
     r"(?:t_|sweat_|under_)?shirt",
-    r"(?:dress|pants?|trousers?|shorts?|jeans|skirt|jacket|coat|vest|hoodie|sweater|sleeve|belt|scarf|collar|tie)",
+    r"(?:dress|pants?|trousers?|shorts|jeans|skirt|jacket|coat|vest|hoodie|sweater|sleeve|belt|scarf|collar|tie)",
     r"(?:shoe|boot|sock|glove|sneaker|heel|foot_wear)",
+    r"(?:bracelet|watch|necklace)",
     r"outfit_(?:top|bottom|footwear)",
     r"(?:top|bottom)s?",
 )
-_SKIN = _words(r"(?:face|head|skin)(?:_skin)?", r"顔|颜|臉|脸|頭|头")
+_NATIVE_BODY = re.compile(r"身体|体$|服|衣|靴|手袋|スカート|ズボン")
+_FACE = _words(r"(?:face|head)(?:_skin)?", r"顔|颜|臉|脸|頭|头")
+_SKIN = _words(r"skin")
 
 
 def named_part(names: Sequence[str]) -> Part | None:
@@ -142,13 +145,14 @@ def names_inside(name: str) -> bool:
 
 def names_skin(name: str) -> bool:
     """Return whether a name is that of the skin of a face or head."""
-    return bool(_SKIN.search(spaced(name))) and not parts_in(name)
+    text = spaced(name)
+    return bool(_FACE.search(text) or (_SKIN.search(text) and not _BODY.search(text))) and not parts_in(name)
 
 
 def names_body(name: str) -> bool:
     """Return whether a name is that of a body or its clothes."""
     text = spaced(name)
-    return bool(_BODY.search(text) or re.search(r"身体|体$|服", name)) and not _SKIN.search(text)
+    return bool(_BODY.search(text) or _NATIVE_BODY.search(name)) and not _FACE.search(text)
 
 
 def spaced(name: str) -> str:

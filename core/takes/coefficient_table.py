@@ -6,9 +6,11 @@ Columns are found by name, as at least three orders are in use.
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Sequence
 from dataclasses import replace
-from math import floor, isfinite, pi
+from itertools import islice
+from math import floor, pi
 from pathlib import Path
 
 import numpy as np
@@ -21,21 +23,26 @@ from ..errors import SourceError
 from ..files import replacing
 from ..reading import shown
 from ..rotation import from_face_axes, to_face_axes
+from ..tracking.result import TrackResult
 from .from_animation import IMAGE_SIZE
 from .from_coefficients import coefficient_face
 from .spreadsheet import from_csv
 from .table_text import TextTable, read_table
+from .table_times import is_title_of_time, times_of_rows
 from .take import Take, TakeRecorder, describe
-from .timecodes import seconds_of_timecodes
 
 _MIN_NAMES = 10
 """Smallest number of known coefficients in a table of coefficients."""
 _MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
-_SECONDS = {"time": 1.0, "seconds": 1.0, "timestamp": 1.0, "time_s": 1.0, "timestamp_ms": 1e-3, "time_ms": 1e-3}
-"""Columns of times, by name in lower case, and their unit in seconds."""
 _RATE = 30.0
-"""Rate in Hz of a table without times."""
-_ANGLES = ("headyaw", "headpitch", "headroll")
+"""Rate in Hz of a table with a single row."""
+_MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
+"""Cells without a number, as other programs write them, in lower case."""
+_MOST = 5.0
+"""A coefficient above this is a percentage: exaggerated ones reach 2."""
+_AXES = ("yaw", "pitch", "roll")
+_ANGLE = re.compile(r"head(?:rotation)?(yaw|pitch|roll)(d|deg|degrees?|r|rad|radians?)?")
+"""Titles of the rotation of the head, and its unit, as letters in lower case."""
 AUTOMATIC, RADIANS, DEGREES = "automatic", "radians", "degrees"
 _FURTHEST = np.radians([100.0, 80.0, 70.0])
 """Yaw, pitch and roll, in radians, beyond which no head turns while its face is tracked."""
@@ -70,16 +77,17 @@ def has_coefficients(path: Path) -> bool:
 
 
 def _is_known(title: str) -> bool:
-    return column_of(title) is not None or title.lower() in {"timecode", *_SECONDS, *_ANGLES}
+    return column_of(title) is not None or is_title_of_time(title)
 
 
 def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
     """Read a table with a row per frame and a column for each known coefficient.
 
-    Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or milliseconds;
-    without either, rows are 1/30 s apart. Rows whose time does not increase are left out if they are few. `HeadYaw`,
-    `HeadPitch` and `HeadRoll` are radians, or degrees if any exceeds what a head can turn. Other columns are ignored,
-    and missing coefficients are 0. What was decided is in ``info["notes"]``.
+    Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or parts of them;
+    or follow from numbers of frames, or from 1/30 s between rows. Rows whose time does not increase are left out if
+    they are few. `HeadYaw`, `HeadPitch` and `HeadRoll` are radians, or degrees if any exceeds what a head can turn.
+    Other columns are ignored, and coefficients without a column are 0; a missing value is interpolated, and a row
+    without any is a frame without a face. What was decided is in ``info["notes"]``.
 
     Parameters
     ----------
@@ -175,41 +183,70 @@ def _columns(head: Sequence[str]) -> dict[int, int]:
 
 
 def _take(table: TextTable, name: str, angles: str) -> Take:
-    head = table.head
-    columns = _columns(head)
+    columns = _columns(table.head)
     if len(columns) < _MIN_NAMES:
         raise ValueError(f"only {len(columns)} of its columns are coefficients")
     if len(set(columns.values())) < len(columns):
         raise ValueError("two of its columns are the same coefficient")
-    rows = []
-    for line in table.lines:
-        rows.append(line)
-        if len(rows) > _MAX_ROWS:
-            raise ValueError(f"it has more than {_MAX_ROWS:,} rows")
+    rows = list(islice(table.lines, _MAX_ROWS + 1))
+    if len(rows) > _MAX_ROWS:
+        raise ValueError(f"it has more than {_MAX_ROWS:,} rows")
     if not rows:
         raise ValueError("it has no rows")
-    plain = [title.strip().lower() for title in head]
-    every, notes = _times(rows, plain), []
+    every, notes = times_of_rows(rows, table.head)
     kept = _increasing(every)
     times, rows = every[kept] - every[kept][0], [row for row, keep in zip(rows, kept, strict=True) if keep]
     if not kept.all():
         count, total = int((~kept).sum()), len(kept)
         warning = f"{count} of {total} rows repeat an earlier time and were left out."
         notes.append(warning)
+    values, found = _values(rows, table.head, columns, notes)
+    take = _recorded(times, values, _turns(rows, table.head, angles, notes), found, name)
+    return replace(take, info=take.info | ({"notes": notes} if notes else {}))
+
+
+def _values(
+    rows: list[list[str]], head: Sequence[str], columns: dict[int, int], notes: list[str]
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return (N, 52) coefficients, and (N,) which rows have any; add what was decided to `notes`."""
     values = np.zeros((len(rows), N_COEFFICIENTS))
     for column, place in columns.items():
         values[:, place] = _numbers(rows, column, head[column])
-    turns = np.zeros((len(rows), 3))
-    for place, title in enumerate(_ANGLES):
-        if title in plain:
-            turns[:, place] = _numbers(rows, plain.index(title), title)
+    known = list(columns.values())
+    found = np.isfinite(values[:, known]).any(axis=1)
+    if not found.any():
+        raise ValueError("all its coefficients are missing")
+    if not found.all():
+        count, total = int((~found).sum()), len(found)
+        warning = f"{count} of {total} rows have no coefficients and count as frames without a face."
+        notes.append(warning)
+    values = np.column_stack([_between(column) for column in values.T])
+    if values.max() > _MOST:
+        values *= 0.01
+        warning = "The coefficients were read as percentages."
+        notes.append(warning)
+    return values, found
+
+
+def _between(values: FloatArray) -> FloatArray:
+    """Interpolate the missing numbers of a column, (N,); 0 if all are missing."""
+    there = np.isfinite(values)
+    return np.interp(np.arange(len(values)), np.flatnonzero(there), values[there]) if there.any() else 0.0 * there
+
+
+def _turns(rows: list[list[str]], head: Sequence[str], angles: str, notes: list[str]) -> FloatArray:
+    """Return (N, 3) yaw, pitch and roll of the head in radians; add the unit in which they were read to `notes`."""
+    turns, stated = np.zeros((len(rows), 3)), ""
+    for column, title in enumerate(head):
+        if (matched := _ANGLE.fullmatch(re.sub(r"[\W_]", "", title.lower()))) is not None:
+            turns[:, _AXES.index(matched[1])] = _between(_numbers(rows, column, title))
+            stated = {"d": DEGREES, "r": RADIANS}.get((matched[2] or " ")[0], stated)
     if turns.any():
-        unit = _unit(turns) if angles == AUTOMATIC else angles
+        unit = (stated or _unit(turns)) if angles == AUTOMATIC else angles
         turns *= pi / 180.0 if unit == DEGREES else 1.0
         warning = f"The rotation of the head was read as {unit}."
         notes.append(warning)
-    take = _recorded(times, values, turns, name)
-    return replace(take, info=take.info | ({"notes": notes} if notes else {}))
+    return turns
 
 
 def _unit(turns: FloatArray) -> str:
@@ -226,50 +263,30 @@ def _increasing(times: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(kept)
 
 
-def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, name: str) -> Take:
+def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, found: NDArray[np.bool_], name: str) -> Take:
     rate = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else _RATE
     face = coefficient_face()
     recorder = TakeRecorder(
         describe(name, min(max(rate, 1e-3), 1e5), IMAGE_SIZE, "coefficients")
         | {"measured": True, "calibration": face.neutral.to_dict()}
     )
-    for time, row, turn in zip(times.tolist(), values, turns, strict=True):
-        recorder.append(time, face.result(row, from_face_axes(float(turn[1]), float(turn[0]), float(turn[2]))))
+    for time, row, turn, seen in zip(times.tolist(), values, turns, found, strict=True):
+        result = face.result(row, from_face_axes(float(turn[1]), float(turn[0]), float(turn[2])))
+        recorder.append(time, result if seen else TrackResult.nothing(len(result.shape_params)))
     return recorder.finish()
 
 
-def _times(rows: list[list[str]], head: list[str]) -> FloatArray:
-    """Read the times of rows in seconds, (N,)."""
-    place = head.index("timecode") if "timecode" in head else -1
-    if place >= 0 and not _is_number(_cell(rows[0], place)):
-        return seconds_of_timecodes([_cell(row, place) for row in rows])
-    if place >= 0:  # Audio2Face's column of that name has seconds
-        return _numbers(rows, place, "timecode")
-    if named := [title for title in head if title in _SECONDS]:
-        return np.asarray(_SECONDS[named[0]] * _numbers(rows, head.index(named[0]), named[0]))
-    return np.arange(len(rows)) / _RATE
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
-
-
-def _cell(row: list[str], column: int) -> str:
-    return row[column].strip() if column < len(row) else ""
-
-
 def _numbers(rows: list[list[str]], column: int, name: str) -> FloatArray:
-    values = np.zeros(len(rows))
+    """Read the numbers of a column, (N,), NaN where they are missing."""
+    values = np.full(len(rows), np.nan)
     for number, row in enumerate(rows):
-        text = _cell(row, column)
+        text = row[column] if column < len(row) else ""
+        if text.lower() in _MISSING:
+            continue
         try:
-            values[number] = float(text or 0.0)
+            values[number] = 0.01 * float(text[:-1]) if text.endswith("%") else float(text)
         except ValueError:
-            values[number] = np.nan
-        if not isfinite(values[number]) or abs(values[number]) > _MAX_NUMBER:
+            values[number] = np.inf
+        if not abs(values[number]) <= _MAX_NUMBER:
             raise ValueError(f"row {number + 1} has {shown(text)} for {name}, which is not a possible number")
     return values

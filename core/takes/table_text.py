@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import StringIO
+from itertools import chain
 from pathlib import Path
 
 _MARKS = (
@@ -22,10 +23,17 @@ _MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 """Byte order marks; that of UTF-32 begins like that of UTF-16."""
+SUFFIXES = (".csv", ".tsv", ".txt")
+"""Suffixes of tables: Excel's *Unicode Text* is .txt."""
 _SEPARATORS = (",", ";", "\t", "|")
-_HINT = re.compile(r"sep=(.)\s*$", re.IGNORECASE)
+_HINT = re.compile(r"\"?sep=(.)\"?\s*$", re.IGNORECASE)
 """First line by which Excel is told the separator."""
+_COMMENT = ("#", "//")
+_MOST_ABOVE = 50
+"""Most lines above the titles: names of programs, takes and performers, and comments."""
 _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*$")
+_GROUPED = re.compile(r"^\s*[-+]?\d{1,3}(?:(?:,\d{3})+\.\d*|(?:,\d{3}){2,}|(?:\.\d{3})+,\d*)\s*$")
+"""Number whose thousands are separated: 1,234.5 or 1.234,5."""
 _MAX_BYTES = 1 << 30
 
 
@@ -64,14 +72,14 @@ def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> Text
     if path.stat().st_size > _MAX_BYTES:
         raise ValueError(f"it is larger than {_MAX_BYTES >> 20:,} MB")
     text = StringIO(_decoded(path.read_bytes()), newline="")
-    first, separator, noted = text.readline(), "", ""
-    if hint := _HINT.match(first):
-        separator, first = hint[1], text.readline()
-    if note and first.lstrip('"').startswith(note):
-        noted, first = next(csv.reader([first]), [""])[0], text.readline()
-    separator = separator or max(_SEPARATORS, key=lambda one: _expected(_split(first, one), known))
-    lines = _lines(csv.reader(text, delimiter=separator), separator)
-    return TextTable([title.strip() for title in _split(first, separator)], lines, noted)
+    above = [text.readline() for _ in range(_MOST_ABOVE)]
+    separator = hint[1] if (hint := _HINT.match(above[0])) else ""
+    choices = [(number, one) for number in range(_MOST_ABOVE) for one in separator or _SEPARATORS]
+    number, separator = max(choices, key=lambda choice: _expected(_split(above[choice[0]], choice[1]), known))
+    noted = [next(csv.reader([line])) for line in above[:number] if note and line.lstrip('"').startswith(note)]
+    rows = csv.reader(chain(above[number + 1 :], text), delimiter=separator)
+    head = [title.strip() for title in _split(above[number], separator)]
+    return TextTable(head, _lines(rows), noted[0][0] if noted else "")
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -79,8 +87,9 @@ def _split(line: str, separator: str) -> list[str]:
 
 
 def _expected(head: list[str], known: Callable[[str], bool]) -> tuple[int, int]:
-    """Return how many of the titles are known, and how many there are."""
-    return sum(known(title.strip()) for title in head), len(head)
+    """Return how many of the titles are known, and, if any is, how many there are."""
+    count = sum(known(title.strip()) for title in head)
+    return count, len(head) if count else 0
 
 
 def _decoded(data: bytes) -> str:
@@ -96,14 +105,36 @@ def _decoded(data: bytes) -> str:
         return data.decode("cp1252")
 
 
-def _lines(rows: Iterator[list[str]], separator: str) -> Iterator[list[str]]:
+def _lines(rows: Iterator[list[str]]) -> Iterator[list[str]]:
+    """Yield rows with decimal points, without empty ones, comments and a row of units below the titles."""
+    above = True
     for row in rows:
-        if any(row):
-            yield row if separator == "," else [_with_point(cell) for cell in row]
+        cells = [cell.strip() for cell in row]
+        if not any(cells) or cells[0].startswith(_COMMENT) or (above and _is_of_units(cells)):
+            continue
+        above = False
+        yield [_with_point(cell) for cell in cells]
+
+
+def _is_of_units(cells: list[str]) -> bool:
+    """Return whether cells are units or ranges of values, such as s, - and (0-1): none is a number or a timecode."""
+    return not any(is_number(_with_point(cell)) or ":" in cell for cell in cells)
+
+
+def is_number(text: str) -> bool:
+    """Return whether a cell is a number, possibly NaN."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _with_point(cell: str) -> str:
-    """Return a number with a decimal point, and a timecode with one."""
+    """Return a number with a decimal point and without separators of thousands, and a timecode with a point."""
+    if _GROUPED.match(cell):
+        last = max(cell.rfind(","), cell.rfind(".")) if "." in cell else len(cell)
+        return re.sub(r"[,.]", "", cell[:last]) + "." + cell[last + 1 :]
     if _DECIMAL_COMMA.match(cell) or (":" in cell and cell.count(",") == 1):
         return cell.replace(",", ".")
     return cell

@@ -18,6 +18,12 @@ _APP_RATE = 60.0
 """Rate of Live Link Face, assumed if no second of a table is complete."""
 _NEAR = 0.06
 """Relative difference from a usual rate within which a measured one is that rate: dropped frames change it."""
+_DROPPED = {30.0: 2.0, 60.0: 4.0}
+"""Numbers that drop-frame timecodes skip at the start of each minute but every tenth, by rate."""
+_NTSC = 1000.0 / 1001.0
+"""Real rate of video with drop-frame timecodes, relative to that of their numbers."""
+_DATE = re.compile(r"^\d{4}-\d\d-\d\d[T ]|(?:Z| ?UTC|[-+]\d\d:?\d\d)$")
+"""Date and time zone of a time in the format of ISO 8601."""
 _DAY = 86_400.0
 
 
@@ -28,7 +34,7 @@ def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
     ----------
     texts : sequence of str
         Hours, minutes, seconds and frames, the latter with decimals, as in 10:20:30:12.500; or hours, minutes and
-        seconds with decimals.
+        seconds with decimals, also after a date; or minutes and seconds with decimals.
 
     Returns
     -------
@@ -44,18 +50,27 @@ def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
     -----
     The frame numbers show the rate where they begin again: the last one before, the usual step and the first one after
     add up to it. Without such a place the rate is that of the app, or the lowest usual one above all frame numbers.
+    A semicolon marks drop-frame timecodes, of 29.97 or 59.94 frames per second.
     """
+    clocks = [_DATE.sub("", text.strip()) for text in texts]
     try:
-        parts = np.array([[float(part) for part in _PARTS.split(text)] for text in texts], dtype=np.float64)
+        parts = np.array([[float(part) for part in _PARTS.split(clock)] for clock in clocks], dtype=np.float64)
     except ValueError:
         parts = np.empty(0)
+    if parts.ndim == 2 and parts.shape[1] == 2 and "." in clocks[0]:
+        parts = np.column_stack([np.zeros(len(parts)), parts])
     if parts.ndim != 2 or parts.shape[1] not in (3, 4) or not ((parts >= 0.0) & (parts < 1000.0)).all():
         raise ValueError(f"{shown(texts[0])} is not a timecode such as 10:20:30:12.500")
     times = parts[:, :3] @ np.array([3600.0, 60.0, 1.0])
-    if parts.shape[1] == 4:
-        times += parts[:, 3] / _rate(times, parts[:, 3])
-    days = np.cumsum(np.diff(times, prepend=times[0]) < -_DAY / 2.0)
-    return np.asarray(times + _DAY * days)
+    days = _DAY * np.cumsum(np.diff(times, prepend=times[0]) < -_DAY / 2.0)
+    if parts.shape[1] == 3:
+        return np.asarray(times + days)
+    rate = _rate(times, parts[:, 3])
+    if ";" in clocks[0] and rate in _DROPPED:
+        minutes = (times + days) // 60.0
+        dropped = _DROPPED[rate] * (minutes - minutes // 10.0)
+        return np.asarray(((times + days) * rate + parts[:, 3] - dropped) / (rate * _NTSC))
+    return np.asarray(times + days + parts[:, 3] / rate)
 
 
 def _rate(seconds: FloatArray, frames: FloatArray) -> float:

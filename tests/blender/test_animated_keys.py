@@ -86,6 +86,18 @@ def test_keys_that_drivers_move_count_and_muted_ones_do_not(head):
     assert not found[:, COEFFICIENT_INDEX["cheekPuff"]].any()
 
 
+def test_negative_keys_are_the_opposite_coefficients_and_exaggerated_ones_are_said(head):
+    blocks = head.data.shape_keys.key_blocks
+    blocks["mouthLeft"].slider_min, blocks["jawOpen"].slider_max = -1.0, 2.0
+    values = np.column_stack([np.linspace(-0.5, 0.5, FRAMES), np.linspace(0.0, 1.5, FRAMES)])
+    animate(head, ["mouthLeft", "jawOpen"], values)
+    take = sampled(head)
+    found = take.coefficients[:, [COEFFICIENT_INDEX[name] for name in ("mouthLeft", "mouthRight", "jawOpen")]]
+    wanted = np.column_stack([values[:, 0], -values[:, 0], values[:, 1]])
+    np.testing.assert_allclose(found, np.clip(wanted, 0.0, 1.0), atol=2e-5)
+    assert len(take.info["notes"]) == 1 and "jawOpen" in take.info["notes"][0]
+
+
 def test_eyes_that_are_turned_without_keys_look_where_they_are_turned(head):
     animate(head, ["jawOpen"], performance(1))
     for eye in (child for child in head.children if "eye" in child.name.lower()):

@@ -57,6 +57,16 @@ def test_an_animated_head_becomes_a_take_and_the_scene_stays_as_it_was(animated,
     check(takes_store.read(takes.items[0]))
 
 
+def test_a_head_that_its_animation_hides_is_sampled_all_the_time(animated, takes):
+    for frame, hidden in ((1, False), (4, True)):
+        animated.hide_viewport = hidden
+        animated.keyframe_insert("hide_viewport", frame=frame)
+    sampling = Sampling(bpy.context.scene, animated, "hidden")
+    assert len(list(sampling)) == LAST
+    check(sampling.take())
+    assert animated.hide_viewport
+
+
 def test_a_take_of_an_animation_drives_another_head_in_the_same_way(animated, takes):
     assert bpy.ops.facemime.take_from_animation() == {"FINISHED"}
     other = add_head(bpy.context)

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from commands import run
-from facemime.blender.animation.clips import clips_of, owners_of, play
+from facemime.blender.animation.clips import clips_of, owners_of, play, play_single
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.timeline import rate_of
-from facemime.cli.puppet.files import object_named, open_file
+from facemime.cli.puppet.files import likely_mesh, object_named, open_file
 from facemime.cli.terminal.options import head_file
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.puppet.job import CHARACTER_SUFFIXES, HeadFile
+from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -71,6 +73,80 @@ def test_every_kind_of_file_is_opened(tmp_path):
         if suffix not in (".ply", ".stl", ".obj"):  # which hold a single mesh, or name it after its data
             assert object_named(named.path, "Face").type in ("MESH", "EMPTY")
         assert any(obj.type == "MESH" and len(obj.data.vertices) > 1000 for obj in bpy.data.objects), suffix
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\r\n", b"\r"])
+def test_lines_of_an_obj_file_may_end_in_any_way(tmp_path, end):
+    vertices = len(add_head(bpy.context).data.vertices)
+    export(tmp_path / "a.obj")
+    data = (tmp_path / "a.obj").read_bytes().replace(b"\r\n", b"\n")
+    (tmp_path / "b.obj").write_bytes(data.replace(b"\n", end))
+    open_file(tmp_path / "b.obj")
+    assert vertices in [len(obj.data.vertices) for obj in bpy.context.scene.objects]
+
+
+def test_a_file_saved_in_edit_mode_or_tweak_mode_is_opened_ready_to_be_baked_to(tmp_path):
+    head = add_head(bpy.context)
+    for frame in (1, 10):
+        head.keyframe_insert("location", frame=frame)
+    data = head.animation_data
+    track = data.nla_tracks.new()
+    strip = track.strips.new("Walk", 1, data.action)
+    data.action, data.nla_tracks.active, strip.select = None, track, True
+    data.use_tweak_mode = True
+    bpy.context.view_layer.objects.active = head
+    bpy.ops.object.mode_set(mode="EDIT")
+    export(tmp_path / "a.blend")
+    open_file(tmp_path / "a.blend")
+    head = bpy.data.objects["Facemime Head"]
+    assert head.mode == "OBJECT" and not head.animation_data.use_tweak_mode
+    puppet_head(bpy.context.scene, head, performance(), PuppetSettings())
+
+
+def _instanced(tmp_path):
+    """A file that shows a collection of another by an instance."""
+    head, group, scene = add_head(bpy.context), bpy.data.collections.new("Character"), bpy.context.scene
+    for obj in (head, *head.children):
+        obj.users_collection[0].objects.unlink(obj)
+        group.objects.link(obj)
+    instance = bpy.data.objects.new("Instance", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", group
+    scene.collection.objects.link(instance)
+    export(tmp_path / "a.blend")
+
+
+def _without_library(tmp_path):
+    """A file that links a head of a file that is gone."""
+    add_head(bpy.context)
+    export(tmp_path / "library.blend")
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (there, linked):
+        linked.objects = there.objects
+    for obj in linked.objects:
+        bpy.context.scene.collection.objects.link(obj)
+    export(tmp_path / "a.blend")
+    (tmp_path / "library.blend").unlink()
+
+
+def _camera_alone(tmp_path):
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    bpy.context.scene.collection.objects.link(camera)
+    export(tmp_path / "a.blend")
+
+
+@pytest.mark.parametrize(
+    ("write", "reason"),
+    [
+        (_instanced, "instances of collections instead of meshes: Instance. Make their objects real"),
+        (_without_library, r"links files that are missing: .*library.blend. Relocate them"),
+        (_camera_alone, "has no mesh. Choose another file"),
+    ],
+)
+def test_a_file_without_a_mesh_is_refused_with_what_it_has_instead(tmp_path, write, reason):
+    write(tmp_path)
+    open_file(tmp_path / "a.blend")
+    with pytest.raises(HeadError, match=reason):
+        likely_mesh(tmp_path / "a.blend")
 
 
 def test_a_file_of_another_kind_lists_those_that_can_be_opened(tmp_path):
@@ -154,6 +230,23 @@ def test_the_clips_of_a_file_are_named_and_can_be_chosen(tmp_path, suffix):
         assert take.pose[-1, 2] == pytest.approx(turn, abs=2e-3) and abs(len(take) - frames) <= 1
     done = run("import", path, "-o", output, "--clip", "Walk")
     assert done.returncode == 1 and "There is no clip Walk. Choose one of: Smile, Talk." in done.stderr
+
+
+def test_clips_of_separate_data_blocks_play_together_and_those_of_the_same_do_not():
+    head = add_head(bpy.context, units=True)
+    with_clips(head)
+    keys = head.data.shape_keys
+    head.animation_data.nla_tracks[0].name = "Turn"
+    for owner in (head, keys):
+        for track in owner.animation_data.nla_tracks:
+            track.mute = True
+    clips = clips_of(owners_of([head]))
+    play_single(clips)
+    assert {name for name, clip in clips.items() if clip.plays} == {"Turn"}
+    keys.animation_data.nla_tracks.remove(keys.animation_data.nla_tracks["Smile"])
+    play_single(clips_of(owners_of([head])))
+    bpy.context.scene.frame_set(LAST)
+    assert head.rotation_euler.z == pytest.approx(0.4) and keys.key_blocks["jawOpen"].value == pytest.approx(0.8)
 
 
 def test_playing_a_clip_mutes_the_others():

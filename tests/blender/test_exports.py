@@ -43,6 +43,43 @@ def content(path):
     return json.loads(data[20 : 20 + struct.unpack_from("<I", data, 12)[0]])
 
 
+def hide_by_keyframes(obj):
+    obj.hide_viewport = True
+    obj.keyframe_insert("hide_viewport", frame=1)
+
+
+def hide_by_drivers(obj):
+    obj.driver_add("hide_viewport").driver.expression = "1"
+
+
+@pytest.mark.parametrize("hide", [hide_by_keyframes, hide_by_drivers])
+def test_files_hold_what_animation_and_drivers_hide(hide, tmp_path):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    bake(head)
+    hide(head)
+    scene.frame_set(1)
+    export_gltf([head], tmp_path / "a.glb")
+    assert head.name in {node["name"] for node in content(tmp_path / "a.glb")["nodes"] if "mesh" in node}
+    bake(head, "alembic", tmp_path / "a.abc")
+    scene.frame_set(1)
+    assert head.hide_viewport
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    bpy.ops.wm.alembic_import(filepath=str(tmp_path / "a.abc"), as_background_job=False)
+    assert len(bpy.data.objects["Facemime_Head"].data.vertices)
+
+
+def test_a_head_in_several_scenes_is_exported_once_with_the_clip_of_its_scene(tmp_path):
+    head = add_head(bpy.context)
+    bake(head)
+    for name in ("A", "Z"):
+        bpy.data.scenes.new(name).collection.objects.link(head)
+        head.select_set(True, view_layer=bpy.data.scenes[name].view_layers[0])
+    export_gltf([head], tmp_path / "a.glb")
+    stated = content(tmp_path / "a.glb")
+    assert [node["name"] for node in stated["nodes"]].count(head.name) == 1
+    assert [clip["name"] for clip in stated["animations"]] == [bpy.context.scene.name]
+
+
 @pytest.mark.parametrize("hide", HIDING)
 def test_gltf_holds_every_mesh_of_a_character_and_its_armature_however_they_are_hidden(hide, tmp_path):
     head, _ = bind_character(make_character(rig=True)["head"])

@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 from characters import make_character
+from curves import curves_of
 from mathutils import Euler, Matrix, Quaternion
 
 from facemime.blender.animation.bake import remove_baked
@@ -231,3 +232,26 @@ def test_a_bake_leaves_an_action_that_another_character_plays_to_it(shared):
     puppet_head(bpy.context.scene, second, performance(50))
     np.testing.assert_allclose(state(), before, atol=1e-6)
     assert owners[0].animation_data.action == action and data.action != action
+
+
+@pytest.mark.parametrize("moved_by", ["a driver", "a muted curve", "a strip of a muted track"])
+def test_a_placement_by_a_driver_or_beside_muted_animation_stays(moved_by):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    if moved_by == "a driver":
+        head.driver_add("delta_location", 2).driver.expression = "1.5"
+    else:
+        head.keyframe_insert("delta_location", frame=1)
+        head.delta_location = (0.0, 0.0, 1.5)
+        for curve in curves_of(head):
+            curve.mute = moved_by == "a muted curve"
+        if moved_by == "a strip of a muted track":
+            track = head.animation_data.nla_tracks.new()
+            track.strips.new("Strip", 1, head.animation_data.action)
+            track.mute, head.animation_data.action = True, None
+    scene.frame_set(1)
+    before = world(head)
+    for _ in range(2):
+        puppet_head(scene, head, performance(), PuppetSettings())
+        np.testing.assert_allclose(world(head)[:3, 3], before[:3, 3], atol=1e-6)
+    remove_baked(head, own_targets(head))
+    np.testing.assert_allclose(world(head), before, atol=1e-6)

@@ -92,6 +92,12 @@ def _hidden(scene, _):
     bpy.context.view_layer.update()
 
 
+def _hidden_by_animation(scene, _):
+    for obj in scene.objects:
+        obj.hide_render = True
+        obj.keyframe_insert("hide_render", frame=1)
+
+
 def _background(scene, _):
     other = bpy.data.scenes.new("Set")
     cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
@@ -102,7 +108,7 @@ def _background(scene, _):
 
 SETTINGS = [
     *(_strip, _marker, _region, _compositor, _colours, _look, _stereo, _output, _engine, _workbench, _layers),
-    *(_hidden, _background),
+    *(_hidden, _hidden_by_animation, _background),
 ]
 
 

@@ -173,3 +173,17 @@ def test_a_character_of_another_scene_is_found_and_bound_in_its_own(tmp_path):
         assert done.returncode == 0, done.stderr
         bpy.ops.wm.open_mainfile(filepath=str(output))
         assert bpy.context.scene.name == "Edit" and is_head(bpy.data.objects["Face"])
+
+
+@pytest.mark.parametrize(("start", "first"), [("first", 1), ("current", 40), ("scene", 10)])
+def test_time_stretching_does_not_change_where_a_take_starts_and_the_range_holds_all_of_it(start, first):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    scene.render.fps, scene.render.frame_map_old, scene.render.frame_map_new = 25, 100, 200
+    if start == "scene":
+        scene.frame_start = first
+    scene.frame_set(40)
+    bake(head, start=start, fit_range=True)
+    last = first + 2 * 25 * performance().times[-1]
+    assert scene.frame_start == first and last <= scene.frame_end < last + 1
+    keys = [point.co[0] for curve in curves_of(head) for point in curve.keyframe_points]
+    assert min(keys) == pytest.approx(first / 2) and max(keys) == pytest.approx(last / 2)

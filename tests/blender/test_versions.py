@@ -17,7 +17,7 @@ pytestmark = [pytest.mark.thorough, pytest.mark.timeout(1800)]
 RUNNER = ("_pytest", "iniconfig", "packaging", "pluggy", "py", "pygments", "pytest", "pytest_timeout")
 """The test runner and its dependencies, all in pure Python, as those environments contain only bpy."""
 SUITES = (
-    *("animated_keys", "attached_parts", "character_files", "moved_files", "performers", "soundness"),
+    *("animated_keys", "animation_take", "attached_parts", "character_files", "moved_files", "performers", "soundness"),
     *("bake_modes", "control_points", "earlier_files", "key_table", "lips", "live", "live_deleted", "live_scene"),
     *("exports", "identity_keys", "media_in_step", "other_animation", "overruled_poses", "own_placement"),
     *("picture_settings", "time_of_takes"),

@@ -17,8 +17,10 @@ from facemime.core.bake.key_map import (
     KeyMap,
     KeyRow,
     best_preset,
+    exclusive_keys,
     expression_keys,
     from_json,
+    known_expressions,
     learn_map,
     load_map,
     normalised,
@@ -117,10 +119,36 @@ def test_a_mirrored_take_has_the_coefficients_of_the_other_side():
         ("Phoneme B,M,P", "BMP"),
         ("Modifier Brow-Down Left", "BrowDownLeft"),
         ("Jaw Open", "jawOpen"),
+        ("eyeBlinkL", "eyeBlinkLeft"),
+        ("blendShapes_jawOpen", "jawOpen"),
+        ("ARKit-mouth_smile_right", "mouthSmileRight"),
     ],
 )
 def test_names_are_equal_in_any_spelling(one, other):
     assert normalised(one) == normalised(other)
+
+
+@pytest.mark.parametrize("node", ["blendShape1.", "Head_blendShapes.", "rig:Face|", "Face.M_F00_000_00_"])
+def test_the_name_of_a_node_before_that_of_a_key_does_not_matter(node):
+    for preset in presets():
+        if node.endswith("_") and not preset.keys[0].startswith("Fcl_"):  # as VRoid Studio names its own keys
+            continue
+        keys = [node + key for key in preset.keys]
+        found = best_preset(keys)
+        assert found is not None and found.name == preset.name and set(found.keys) == set(keys)
+        assert known_expressions([*keys, "Other"]) == keys
+    pairs = exclusive_keys([node + name for name in ("jawLeft", "jawOpen", "jawRight")])
+    assert pairs == ([] if node[-1] == "_" else [(0, 2)])
+
+
+def test_keys_of_several_nodes_are_all_set_and_give_back_one_coefficient():
+    keys = [f"blendShape{node}.{name}" for node in (1, 2) for name in COEFFICIENTS]
+    table, values = presets()[0].matched([*keys, "blendShape1.jaw_open"]), np.zeros((2, len(COEFFICIENTS)))
+    assert set(table.keys) == set(keys)
+    values[1, 3] = 0.7
+    posed = table.apply(values, dict.fromkeys(keys, (0.0, 1.0)))
+    assert all(posed[f"blendShape{node}.{COEFFICIENTS[3]}"][1] == 0.7 for node in (1, 2))
+    np.testing.assert_allclose(table.invert(posed, np.full_like(values, 0.5)), values)
 
 
 def test_names_that_merely_end_in_l_or_r_are_unchanged():

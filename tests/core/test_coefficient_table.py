@@ -1,13 +1,14 @@
 """Tables of coefficients from Live Link Face and others are read as takes, and written from takes."""
 
 import csv
+import re
 
 import numpy as np
 import pytest
 
 from facemime.cli.main import main
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
 from facemime.core.errors import SourceError
 from facemime.core.streams.live_link import CURVES
 from facemime.core.takes.coefficient_table import (
@@ -153,6 +154,98 @@ def test_a_few_repeated_rows_are_left_out_and_said(tmp_path):
         from_coefficient_csv(tmp_path / "c.csv")
 
 
+def table_of(times, title="time", names=COEFFICIENTS[:20], value="0.25", before="", below="", between="", end="\n"):
+    """A table of 20 coefficients with one value, as another program may write it."""
+    head = ",".join([title, *names])
+    rows = [between + ",".join([time, *[value] * len(names)]) for time in times]
+    return before + end.join([head, *filter(None, [below]), *rows]) + end
+
+
+@pytest.mark.parametrize(
+    ("title", "factor", "note"),
+    [
+        *[(title, 1.0, "") for title in ("Time (s)", "time_sec", "Timestamp", "Elapsed Time", "t", "Time Code")],
+        *[("Time [ms]", 1e3, ""), ("timestamp", 1e3, "milliseconds"), ("time", 1e6, "microseconds")],
+        *[
+            ("timestamp_us", 1e6, ""),
+            ("TimeNs", 1e9, ""),
+            ("frame", 25.0, "no times"),
+            ("Frame Number", 50.0, "no times"),
+        ],
+    ],
+)
+def test_times_are_found_under_any_title_and_in_any_unit(written, title, factor, note):
+    take = from_coefficient_csv(written(table_of([f"{1000 + factor * i / 25:.6f}" for i in range(20)], title)))
+    rate = factor if "rame" in title else 25.0
+    np.testing.assert_allclose(
+        take.times, np.arange(20) * (factor / 25 / 30 if note == "no times" else 1 / rate), atol=1e-6
+    )
+    assert note in "".join(take.info.get("notes", [])) and bool(note) == ("notes" in take.info)
+
+
+def test_numbers_of_frames_count_at_the_rate_that_the_table_states(written):
+    text = table_of([f"{i},25" for i in (1001, 1002, 1005)], "Frame,FPS")
+    np.testing.assert_allclose(from_coefficient_csv(written(text)).times, [0.0, 0.04, 0.16], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "how",
+    [
+        *(
+            {"before": before}
+            for before in ("\n\n", "# written by a program\n# fps: 30\n", "Take 3,,,\n\n", '"sep=,"\n')
+        ),
+        *({"below": below} for below in ("s" + ",-" * 20, "(s)" + ",(0-1)" * 20, "," * 20)),
+        *({"between": between} for between in ("\n", " , ,\n", "# a comment\n")),
+        *({"end": end} for end in ("\r", "\r\n", ",\n")),
+        {"value": "25%"},
+        {"value": '"0,25"'},
+    ],
+)
+def test_what_other_programs_write_around_the_numbers_does_not_matter(written, how):
+    (path := written("")).write_bytes(table_of([f"{i / 25:.3f}" for i in range(12)], **how).encode())
+    take = from_coefficient_csv(path)
+    np.testing.assert_allclose(take.times, np.arange(12) / 25, atol=1e-9)
+    np.testing.assert_allclose(take.coefficients[:, :20], 0.25)
+
+
+@pytest.mark.parametrize(
+    "spelling",
+    [
+        lambda name: re.sub("([A-Z])", r"_\1", name).lower(),
+        lambda name: re.sub("([A-Z])", r" \1", name).upper(),
+        lambda name: re.sub("([A-Z])", r"-\1", name),
+        lambda name: re.sub("Left$", ".L", re.sub("Right$", ".R", name)),
+        lambda name: re.sub("Left$", "_l", re.sub("Right$", "_r", name)),
+        lambda name: f"ARKit_{name}",
+        lambda name: f"weights[{name}]",
+        lambda name: f"Face.{name}.weight",
+    ],
+)
+def test_every_coefficient_is_known_in_any_spelling(spelling):
+    assert [column_of(spelling(name)) for name in COEFFICIENTS] == list(range(N_COEFFICIENTS))
+
+
+def test_missing_values_are_interpolated_and_rows_without_any_have_no_face(written):
+    lines = table_of([f"{i / 25:.3f}" for i in range(6)]).splitlines()
+    values = [lines[0], lines[1], lines[2].replace("0.25", "nan", 1), lines[3].replace("0.25", "0.75", 1), *lines[4:]]
+    values[5] = "0.16" + ",N/A" * 20
+    take = from_coefficient_csv(written("\n".join(values)))
+    np.testing.assert_allclose(take.coefficients[:4, 0], [0.25, 0.5, 0.75, 0.25])
+    assert take.found.tolist() == [True] * 4 + [False, True] and "1 of 6 rows have no" in take.info["notes"][0]
+
+
+def test_percentages_are_recognised_and_said(written):
+    take = from_coefficient_csv(written(table_of(["0", "0.04"], value="25")))
+    np.testing.assert_allclose(take.coefficients[:, :20], 0.25)
+    assert "percentages" in take.info["notes"][0]
+
+
+def test_a_title_may_state_the_unit_of_the_angles(written):
+    text = table_of(["0,1", "0.04,1"], "time,Head Yaw (deg)")
+    assert from_coefficient_csv(written(text)).pose[0, 2] == pytest.approx(-np.radians(1.0))
+
+
 @pytest.mark.parametrize(("largest", "unit"), [(0.3, "radians"), (1.2, "radians"), (2.5, "degrees"), (25.0, "degrees")])
 def test_the_unit_of_angles_is_decided_over_the_whole_table_said_and_overridden(tmp_path, largest, unit):
     times, values, _ = sines()
@@ -177,7 +270,7 @@ def test_the_unit_of_angles_is_decided_over_the_whole_table_said_and_overridden(
         ("a,b,c\n1,2,3\n", "are coefficients"),
         (GOLDEN.splitlines()[0] + "\n", "no rows"),
         (GOLDEN.replace("0.4", "x"), "not a possible number"),
-        (GOLDEN.replace("0.4", "nan"), "not a possible number"),
+        (GOLDEN.replace("0.4", "inf"), "not a possible number"),
         (GOLDEN.replace("0.4", "1e400"), "not a possible number"),
         (GOLDEN.replace("23:59:59:58.250", "hello"), "not a timecode"),
         (GOLDEN.replace("23:59:59:58.250", "23:59:59:59.250"), "do not increase"),
@@ -203,6 +296,13 @@ def test_the_command_imports_a_table_and_exports_the_same_values(tmp_path, writt
         again = from_coefficient_csv(out)
         np.testing.assert_allclose(again.coefficients, take.coefficients, atol=1e-5)
         np.testing.assert_allclose(again.pose[:, 1:4], take.pose[:, 1:4], atol=1e-4)
+
+
+@pytest.mark.parametrize(("suffix", "separator"), [(".tsv", "\t"), (".txt", "\t"), (".CSV", ";")])
+def test_a_table_may_have_any_suffix_of_a_spreadsheet(tmp_path, suffix, separator):
+    (tmp_path / f"a{suffix}").write_bytes(GOLDEN.replace(",", separator).encode("utf-16"))
+    assert main(["import", str(tmp_path / f"a{suffix}"), "-o", str(tmp_path / "a.facetake")]) == 0
+    assert len(load_take(tmp_path / "a.facetake")) == 3
 
 
 def test_a_tracked_take_exports_coefficients_too(tmp_path, take):

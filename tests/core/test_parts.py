@@ -139,6 +139,11 @@ def test_layers_that_touch_inside_a_mesh_are_not_joined():
         ("まつ毛", Part.ON_SKIN),
         ("眼鏡", Part.ON_HEAD),
         ("白目", Part.EYE_LEFT),
+        ("白目の影", Part.ON_SKIN),
+        ("eyeshell_lod0_mesh", Part.ON_SKIN),
+        ("cartilage_lod0_mesh", Part.ON_SKIN),
+        ("afro01", Part.ON_HEAD),
+        ("short04", None),
     ],
 )
 def test_parts_are_recognised_by_name(name, part):
@@ -152,6 +157,8 @@ def test_the_most_telling_name_decides():
     assert named_part(["Hair", "Head_Hair_Eyes_Brows"]) == Part.ON_HEAD, "a name of several parts tells nothing"
     assert named_part(["Material", "LowerJawTeeth"]) == Part.TEETH_LOWER
     assert names_skin("Wolf3D_Head") and not names_skin("HeadBand") and names_body("Wolf3D_Outfit_Top")
+    assert not names_skin("F00_001_01_Body_00_SKIN") and not names_skin("Std_Skin_Arm") and names_skin("Std_Skin_Head")
+    assert names_body("スカート") and not names_body("short04") and names_body("Std_Skin_Leg")
     assert not names_body("Cube.001") and not names_body("Body_Skin_Head") and not names_body("Eye Socket")
     assert not names_skin("Water Surface") and not names_skin("Forehead Wrap") and names_skin("顔")
 

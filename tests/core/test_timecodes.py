@@ -49,6 +49,20 @@ def test_midnight_drop_frame_and_times_without_frames_are_understood():
     np.testing.assert_allclose(seconds_of_timecodes(["0:00:01.5", "0:01:00.25"]), [1.5, 60.25])
 
 
+@pytest.mark.parametrize(("rate", "dropped"), [(30, 2), (60, 4)])
+def test_steps_are_even_where_drop_frame_timecodes_skip_numbers(rate, dropped):
+    numbers = np.arange(9 * 60 * rate, 11 * 60 * rate + rate)
+    kept = numbers[(numbers % (60 * rate) >= dropped) | (numbers // (60 * rate) % 10 == 0)]
+    texts = [f"01:{n // rate // 60:02d}:{n // rate % 60:02d};{n % rate:02d}" for n in kept.tolist()]
+    np.testing.assert_allclose(np.diff(seconds_of_timecodes(texts)), 1.001 / rate, atol=1e-9)
+
+
+def test_times_may_follow_a_date_and_have_no_hours():
+    dated = [f"2026-01-02T10:59:{59 + i / 4:06.3f}Z" for i in range(4)]
+    np.testing.assert_allclose(np.diff(seconds_of_timecodes(dated)), 0.25)
+    np.testing.assert_allclose(np.diff(seconds_of_timecodes(["09:59.750", "10:00.000"])), 0.25)
+
+
 @pytest.mark.parametrize("text", ["hello", "10:20", "1:2:3:4:5", "10:20:-3:00", ""])
 def test_other_texts_are_refused(text):
     with pytest.raises(ValueError, match="not a timecode"):
