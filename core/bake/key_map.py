@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +36,11 @@ _KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshap
 """First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
 _NODE = re.compile(r"^.*(?:[.:|]|_(?=Fcl_))", re.IGNORECASE)
 """Name of a node before that of a key, as Maya and VRoid Studio write it."""
+_AFFIXES = (re.compile(r"^[^\W_]+[\W_]+(?=.)"), re.compile(r"(?<=.)[\W_]+[^\W_]+$"))
+"""First and last words of names, as in `Head_jawOpen` and `jawOpen_Mesh`."""
+_AFFIX_SHARE, _MIN_AFFIXED = 0.8, 8
+"""Share and number of keys from which a word that they share is not of their own names. The share is below 1 for the
+Basis; two sides have half of the names each."""
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
@@ -256,7 +263,8 @@ def expression_keys(keys: Sequence[str]) -> list[str]:
 def known_expressions(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset."""
     known = {normalised(key) for preset in presets() for key in preset.keys}
-    return [key for key in keys if not known.isdisjoint(_by_name([key]))]
+    names = _names(keys)
+    return [key for key in keys if not known.isdisjoint(names[key])]
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
@@ -267,13 +275,33 @@ def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
 
 
 def _by_name(keys: Iterable[str]) -> dict[str, list[str]]:
-    """Return keys by their normalised names, with and without that of a node; the first one of each node."""
+    """Return keys by each of their names; the first one of each node."""
     found: dict[str, dict[str, str]] = {}
-    for key in keys:
-        bare = _NODE.sub("", key)
-        for name in (normalised(key), normalised(bare)):
-            found.setdefault(name, {}).setdefault(key.removesuffix(bare), key)
+    for key, names in _names(keys).items():
+        for name in names:
+            found.setdefault(name, {}).setdefault(key.removesuffix(_NODE.sub("", key)), key)
     return {name: list(of.values()) for name, of in found.items()}
+
+
+def _names(keys: Iterable[str]) -> dict[str, set[str]]:
+    """Return the normalised names of keys: as they are, without that of a node, and without words that most share."""
+    bare = {key: _NODE.sub("", key) for key in keys}
+    names = {key: {normalised(key), normalised(name)} for key, name in bare.items()}
+    for affix in _AFFIXES:
+        words = {key: match[0] for key, name in bare.items() if (match := affix.search(name))}
+        word, count = max(Counter(words.values()).items(), key=itemgetter(1), default=("", 0))
+        if count >= max(_MIN_AFFIXED, _AFFIX_SHARE * len(bare)) and word not in _own_words():
+            bare |= {key: affix.sub("", bare[key]) for key, of in words.items() if of == word}
+    for key, name in bare.items():
+        names[key].add(normalised(name))
+    return names
+
+
+@lru_cache(maxsize=1)
+def _own_words() -> frozenset[str]:
+    """First words of the keys of the shipped tables, such as `viseme_`."""
+    keys = [key for preset in presets() for key in preset.keys]
+    return frozenset(match[0] for key in keys if (match := _AFFIXES[0].search(key)))
 
 
 def normalised(name: str) -> str:

@@ -161,6 +161,22 @@ def test_each_vocabulary_is_recognised_by_its_keys(preset):
     assert from_json(preset.to_json()) == preset
 
 
+@pytest.mark.parametrize(("before", "after"), [("Head_", ""), ("facs ", ""), ("", "_Mesh"), ("c_", " head")])
+@pytest.mark.parametrize("preset", presets(), ids=lambda preset: preset.name)
+def test_words_that_most_keys_share_are_not_of_their_names(preset, before, after):
+    keys = [before + key + after for key in preset.keys]
+    found = best_preset(["Basis", *keys])
+    assert found is not None and found.name == preset.name
+    assert len(found.keys) >= 0.95 * len(keys) and set(found.keys) <= set(keys)
+    assert set(known_expressions([*keys, "Other"])) >= set(found.keys)
+
+
+def test_words_that_only_some_keys_share_are_of_their_names():
+    sided = [f"Move_{number}_{side}" for number in range(30) for side in ("L", "R")]
+    assert known_expressions(sided) == [] and best_preset(sided) is None
+    assert known_expressions(["Fat_Left", "Fat_jawOpen"]) == []
+
+
 def test_a_mesh_with_other_keys_has_no_preset():
     keys = ["Fat", "Thin", "Old"]
     assert best_preset(keys) is None and expression_keys(keys) == keys
