@@ -20,6 +20,7 @@ from ...core.errors import OutputError, SourceError
 from ...core.files import replacing
 from ...core.locks import temporary_folder
 from ..collections import collections_in
+from ..contexts import showing_scene
 from .preview_scene import set_shading
 
 Image = NDArray[np.uint8]
@@ -54,7 +55,8 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
         If the name of the temporary folder is not valid UTF-8.
     """
     require_display_library()
-    with temporary_folder() as folder, picture_of(scene) as picture:
+    # Animation is evaluated in the scene that is shown only.
+    with temporary_folder() as folder, picture_of(scene) as picture, showing_scene(picture):
         require_utf8_name(folder)
         yield from _rendered(picture, frames, size, folder / "frame.bmp")
 

@@ -142,3 +142,25 @@ def test_landmarks_are_drawn_on_the_face_whatever_the_pixels_aspect():
     bpy.data.objects.remove(scene.camera)
     scene.render.pixel_aspect_y, scene.render.resolution_percentage = 1.8, 40
     np.testing.assert_allclose(draw_landmarks(scene, head, 96), wanted, atol=3)
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_each_picture_shows_the_head_as_animation_moves_it_at_its_frame(shown):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    head.shape_key_add(name="Basis")
+    key = head.shape_key_add(name="Wide")
+    for point in key.data:
+        point.co.x *= 1.3
+    turned = np.radians(60.0)
+    for frame, value, angle in ((1, 0.0, 0.0), (11, 1.0, 0.0), (21, 0.0, turned)):
+        key.value, head.delta_rotation_euler.z = value, angle
+        key.keyframe_insert("value", frame=frame)
+        head.keyframe_insert("delta_rotation_euler", index=2, frame=frame)
+    scene.frame_set(1)
+    setup_preview(scene, head, SIZE, face_view(head))
+    if not shown:
+        bpy.context.window.scene = bpy.data.scenes.new("Other")
+    before = bpy.context.scene
+    rest, wide, turned_head = (image.astype(float) for image in render_frames(scene, [1.0, 11.0, 21.0], SIZE))
+    assert np.abs(wide - rest).mean() > 3.0 and np.abs(turned_head - rest).mean() > 3.0
+    assert bpy.context.scene == before
