@@ -152,7 +152,10 @@ def _stored(owner: Posable) -> dict[str, Any] | None:
 
 def _unposed(owner: Posable) -> dict[str, Any]:
     """Return the user's values of an owner for which none are stored: those it has, unless animation put them there."""
-    if _is_baked(owner) or not curve_paths(owner.id_data).isdisjoint(_paths(owner)):
+    moved = curve_paths(owner.id_data)
+    if not isinstance(owner, bpy.types.Object) and (data := owner.id_data.animation_data) is not None:
+        moved |= {driver.data_path for driver in data.drivers}  # of a bone they are motion, not a placement
+    if _is_baked(owner) or not moved.isdisjoint(_paths(owner)):
         return {"mode": "QUATERNION", "location": [0.0] * 3, "rotation": [1.0, 0.0, 0.0, 0.0]}
     return {"mode": owner.rotation_mode, **_channels(owner)}
 
