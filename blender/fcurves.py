@@ -14,7 +14,7 @@ Holder = bpy.types.AnimData | bpy.types.NlaStrip
 
 
 def slot_handle(holder: Holder) -> int:
-    """Return the handle of the slot that a holder plays; 0 if there is none, or actions have no slots."""
+    """Return the handle of the slot that a holder plays; 0 if it plays none, or if actions have no slots."""
     slot = getattr(holder, "action_slot", None)
     return 0 if slot is None else int(slot.handle)
 

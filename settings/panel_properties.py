@@ -96,7 +96,7 @@ def keep_problem(context: bpy.types.Context, problem: str) -> None:
 
 
 def problem_of(context: bpy.types.Context) -> str:
-    """Return the problem that is known for the source as it is set; "" if there is none."""
+    """Return the known problem with the current source, or ""."""
     memory = context.window_manager.facemime
     if not memory.problem or memory.problem_source != displayable(source_text(context.scene.facemime.source)):
         return ""

@@ -23,12 +23,12 @@ _session: dict[str, str] = {}
 
 
 def calibration_of(performer: FacemimePerformer) -> str:
-    """Return the calibration of a performer as JSON, of this session or else of the file; "" if there is none."""
+    """Return the JSON of a performer's calibration, from this session or otherwise from the file, or ""."""
     return _session.get(performer.key) or str(performer.calibration)
 
 
 def read_calibration(settings: FacemimeSettings) -> Neutral | None:
-    """Return the calibration of the selected performer; None if there is none.
+    """Return the calibration of the selected performer, or None if that performer has not been calibrated.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def read_calibration(settings: FacemimeSettings) -> Neutral | None:
 
 
 def selected_performer(settings: FacemimeSettings) -> FacemimePerformer | None:
-    """Return the selected performer; None if there is none."""
+    """Return the selected performer, or None."""
     known = 0 <= settings.performer < len(settings.performers)
     return settings.performers[settings.performer] if known else None
 

@@ -153,7 +153,7 @@ class LiveHeadObject:
         return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues]))
 
     def drive_by(self, keys: tuple[str, ...]) -> None:
-        """Show the following frames by the values of these keys, or by the live key if there are none."""
+        """Show the following frames through the values of `keys`, or through the live key if `keys` is empty."""
         if keys != self.keys:
             shown = self._shown
             self.detach(keep=False, blocks=False)

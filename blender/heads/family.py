@@ -171,7 +171,7 @@ def likely_character(objects: Iterable[bpy.types.Object]) -> bpy.types.Object | 
 
 
 def require_character(obj: bpy.types.Object | None) -> bpy.types.Object:
-    """Return `obj`; raises HeadError if there is none, or it belongs to no mesh."""
+    """Return `obj`; raises HeadError if it is None or does not belong to a mesh."""
     if obj is None:
         raise HeadError("No character is selected. Select one, or add a head with Add > Mesh > Facemime Head.")
     if obj.type == "EMPTY" and obj.instance_collection is not None:

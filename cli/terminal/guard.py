@@ -19,7 +19,7 @@ from .leash import LEASH
 from .stopping import STOPPING
 
 _MARK = "FACEMIME_GUARD"
-"""Environment variable of a child: a file that it removes when it ends in an orderly way."""
+"""Environment variable with the path of a file that a child removes when it ends in an orderly way."""
 _MEMORY, _MEMORY_PER_BYTE = 1 << 30, 24
 """Bytes that reading a file may take, at least and per byte of the file. Meshes of text take 10, compressed ones 20."""
 _SECONDS, _SECONDS_PER_BYTE = 60.0, 2e-6
@@ -27,7 +27,7 @@ _SECONDS, _SECONDS_PER_BYTE = 60.0, 2e-6
 _PATIENCE = 15.0
 """Seconds from a signal to the end of the child."""
 _mark = os.environ.pop(_MARK, "")
-"""The file of this process, if it is a child; processes that it starts are none."""
+"""The file that this process removes, if it is such a child; it is not passed on to the processes that it starts."""
 
 
 def own_command() -> list[str]:

@@ -27,7 +27,7 @@ SUFFIXES = (".csv", ".tsv", ".txt")
 """Suffixes of tables: Excel's *Unicode Text* is .txt."""
 _SEPARATORS = (",", ";", "\t", "|")
 _HINT = re.compile(r"\"?sep=(.)\"?\s*$", re.IGNORECASE)
-"""First line by which Excel is told the separator."""
+"""First line that tells Excel which separator the file uses."""
 _COMMENT = ("#", "//")
 _MOST_ABOVE = 50
 """Most lines above the titles: names of programs, takes and performers, and comments."""
