@@ -6,7 +6,7 @@ user's values are in a custom property, as the channels hold the sum.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from typing import Any, NamedTuple
 
 import bpy
@@ -60,14 +60,20 @@ def own_mode(owner: Posable) -> str:
     return str(owner.rotation_mode if stored is None else stored.get("before", owner.rotation_mode))
 
 
-def hold_own(owner: Posable) -> None:
+def hold_own(owner: Posable, *, animated: bool = False) -> None:
     """Remember the user's own pose before `owner` is posed; does nothing if it is remembered.
 
     Objects have no delta rotation by axis and angle, so that their mode becomes QUATERNION for the time.
+
+    Parameters
+    ----------
+    owner : bpy.types.Object or bpy.types.PoseBone
+    animated : bool
+        Whether the pose includes what the user's animation gives it now; what is written is otherwise added to that.
     """
     if OWN_POSE_PROPERTY in owner:
         return
-    stored = _unposed(owner)
+    stored = _unposed(owner, animated=animated)
     if isinstance(owner, bpy.types.Object) and owner.rotation_mode == "AXIS_ANGLE":
         stored |= {"before": "AXIS_ANGLE", "quaternion": list(owner.rotation_quaternion)}
         owner.rotation_mode = "QUATERNION"
@@ -77,8 +83,29 @@ def hold_own(owner: Posable) -> None:
 def begin_live(owner: Posable) -> None:
     """End what an earlier session left, and remember the user's own pose until the session that begins has ended."""
     release_own(owner)
-    hold_own(owner)
+    hold_own(owner, animated=isinstance(owner, bpy.types.Object))
     owner[OWN_POSE_PROPERTY] = {**_stored(owner), _LIVE: True}
+
+
+def move_own(owner: Posable, values: Mapping[tuple[str, int], float]) -> None:
+    """Put `owner` into the pose that the user's animation gives it in the current frame, and remember that.
+
+    Parameters
+    ----------
+    owner : bpy.types.Object or bpy.types.PoseBone
+    values : mapping
+        By data path and array index; other channels stay.
+    """
+    if not values or (stored := _stored(owner)) is None:
+        return
+    channel = rotation_channel(owner)
+    if stored["mode"] != owner.rotation_mode:
+        still = [0.0] * 3 if channel == "rotation_euler" else [1.0, 0.0, 0.0, 0.0]
+        stored |= {"mode": owner.rotation_mode, "rotation": still}
+    for name, path in (("location", "location"), ("rotation", channel)):
+        stored[name] = [values.get((f"{path_of(owner)}{path}", i), own) for i, own in enumerate(stored[name])]
+    owner[OWN_POSE_PROPERTY] = stored
+    _write(owner, stored)
 
 
 def release_live(but: Collection[bpy.types.ID] = ()) -> None:
@@ -150,12 +177,14 @@ def _stored(owner: Posable) -> dict[str, Any] | None:
     return stored.to_dict() if hasattr(stored, "to_dict") else None
 
 
-def _unposed(owner: Posable) -> dict[str, Any]:
-    """Return the user's values of an owner for which none are stored: those it has, unless animation put them there."""
+def _unposed(owner: Posable, *, animated: bool = False) -> dict[str, Any]:
+    """Return the user's values of an owner for which none are stored: those it has, unless a bake put them there, or
+    animation that is not `animated`.
+    """
     moved = curve_paths(owner.id_data)
     if not isinstance(owner, bpy.types.Object) and (data := owner.id_data.animation_data) is not None:
         moved |= {driver.data_path for driver in data.drivers}  # of a bone they are motion, not a placement
-    if _is_baked(owner) or not moved.isdisjoint(_paths(owner)):
+    if _is_baked(owner) or not (animated or moved.isdisjoint(_paths(owner))):
         return {"mode": "QUATERNION", "location": [0.0] * 3, "rotation": [1.0, 0.0, 0.0, 0.0]}
     return {"mode": owner.rotation_mode, **_channels(owner)}
 

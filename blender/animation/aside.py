@@ -14,9 +14,9 @@ from typing import Any
 import bpy
 
 from ..actions import baked_paths
-from ..fcurves import curves_in, find_curve, slot_handle
+from ..fcurves import curves_in, find_curve, owned_paths, slot_handle
 from ..names import ASIDE_PROPERTY
-from ..tracks import tracks_of_bakes
+from ..tracks import is_baked, tracks_of_bakes
 from .bake_cache import MODIFIER
 
 Item = list[Any]
@@ -84,6 +84,49 @@ def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
     data = owner.animation_data
     found = [curve for curve in curves_in(data) if wanted(curve.data_path)]
     return [["curve", data.action.name, slot_handle(data), curve.data_path, curve.array_index] for curve in found]
+
+
+def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> dict[tuple[str, int], float]:
+    """Return what the user's animation that is set aside would give some channels in a frame.
+
+    Strips count at full influence, and add or replace. Drivers do not count.
+
+    Parameters
+    ----------
+    owner : bpy.types.ID
+    prefixes : sequence of str
+        Of the data paths.
+    frame : float
+
+    Returns
+    -------
+    dict
+        Values by data path and array index.
+    """
+    values: dict[tuple[str, int], float] = {}
+    data, starts, own = owner.animation_data, tuple(prefixes), owned_paths(owner.animation_data)
+    listed = _listed(owner)
+    for track in data.nla_tracks if data is not None else ():
+        if ["track", track.name] in listed and (strip := _strip_at(track, frame)) is not None:
+            at = strip.action_frame_start + (frame - strip.frame_start) / strip.scale
+            at = min(max(at, strip.action_frame_start), strip.action_frame_end)
+            for curve in curves_in(strip):
+                if curve.data_path.startswith(starts):
+                    place = curve.data_path, curve.array_index
+                    below = values.get(place, 0.0) if strip.blend_type in ("ADD", "COMBINE") else 0.0
+                    values[place] = below + curve.evaluate(at)
+    for _, *which in (item for item in listed if item[0] == "curve"):
+        curve = _find(owner, "curve", which)
+        if curve is not None and curve.data_path.startswith(starts) and curve.data_path not in own:
+            values[curve.data_path, curve.array_index] = curve.evaluate(frame)
+    return values
+
+
+def _strip_at(track: bpy.types.NlaTrack, frame: float) -> bpy.types.NlaStrip | None:
+    """Return the user's strip that plays in a frame, or that holds the value before or after it."""
+    strips = [strip for strip in track.strips if not is_baked(strip) and not strip.mute]
+    begun = [strip for strip in strips if strip.frame_start <= frame]
+    return begun[-1] if begun else next(iter(strips), None)
 
 
 def keys(names: Iterable[str]) -> list[Item]:

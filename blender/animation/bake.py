@@ -19,7 +19,7 @@ from ..names import PART_PROPERTY, TONGUE_KEY
 from ..shared_actions import make_actions_own
 from .bake_cache import remove_cache
 from .bake_keys import remove_baked_keys, require_relative, value_path
-from .placed import keep_axis_angles_moving, placed_rotations
+from .placed import keep_axis_angles_moving, placements
 from .targets import PoseTarget, carried_targets
 
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
@@ -143,13 +143,13 @@ def bake_pose(
     angle, length = clean or (None, None)
     turns, moves = motion.rotation if rotation else None, motion.translation if translation else None
     carried = carried_targets(obj, targets["head"])
-    curves: dict[bpy.types.Object, list[Curve]] = {}
-    for target in carried:
-        placed = None if target.bone else placed_rotations(scene, target.obj, frames)
-        curves.setdefault(target.obj, []).extend(target.curves(turns, moves, angle, length, placed))
+    moved = [(target, turns, moves) for target in carried]
     for part, target in _part_targets(obj, targets):
-        turns = motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)]
-        curves.setdefault(target.obj, []).extend(target.curves(turns, None, angle))
+        moved.append((target, motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)], None))
+    placed = placements(scene, [target for target, _, _ in moved], frames, keep=keep)
+    curves: dict[bpy.types.Object, list[Curve]] = {}
+    for (target, turns, moves), where in zip(moved, placed, strict=True):
+        curves.setdefault(target.obj, []).extend(target.curves(turns, moves, angle, length, where))
     for owner, owned in curves.items():
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         add = keep or owner.type != "ARMATURE"

@@ -13,10 +13,12 @@ from numpy.typing import NDArray
 from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError
 from ..characters import Member, members_of
+from ..contexts import scene_of
 from ..meshes import exists
 from ..names import PART_PROPERTY
+from ..own_pose import move_own
 from ..shared_actions import make_actions_own
-from .aside import bake_of, moving, restore, set_aside
+from .aside import bake_of, moving, restore, set_aside, values_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .key_drivers import family_keys, following_paths
 from .live_mesh import LiveMesh, changed
@@ -25,6 +27,8 @@ from .targets import PoseTarget, carried_targets
 
 FlatMeshes = Sequence[NDArray[np.float32]]
 """Arrays for `foreach_set`, one for each mesh of a head."""
+_DELTAS = ("delta_location", "delta_rotation")
+"""Prefixes of the data paths of the channels that pose an object."""
 _TARGET_LABELS = {"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"}
 """Labels of the fields in which targets are chosen."""
 
@@ -67,6 +71,7 @@ class LiveHeadObject:
         self._name = self.obj.name
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
         self._carried = carried_targets(self.obj, self.targets["head"]) if "head" in self.targets else []
+        self._moving: list[PoseTarget] = []
         self._shown = False
         objects = [self.obj, *(one for target in self.targets.values() for one in (target.obj, target.head))]
         self._uids = {id(obj): obj.session_uid for obj in objects if obj is not None}
@@ -133,11 +138,17 @@ class LiveHeadObject:
             target.begin()
         for owner in self._owners():
             channels = (
-                "delta_",
+                *_DELTAS,
                 *(path for target in self._living_targets() if target.obj == owner for path in target.channels),
             )
             set_aside(owner, [*moving(owner, channels), *bake_of(owner)])
+        self._moving = [target for target in self._carried if not target.bone and values_aside(target.obj, _DELTAS, 0)]
         self._shown = True
+
+    def _follow_user(self, target: PoseTarget) -> None:
+        """Let a pose be added to where the user's animation places an object in the current frame."""
+        frame = scene_of(target.obj).frame_current_final
+        move_own(target.obj, values_aside(target.obj, _DELTAS, frame))
 
     def _values_of(self, obj: bpy.types.Object) -> LiveValues | None:
         if obj.data.shape_keys is None:
@@ -197,6 +208,8 @@ class LiveHeadObject:
         translation = frame.translation if self.follow.translation else None
         for target in self._carried:
             if target.exists:
+                if target in self._moving:
+                    self._follow_user(target)
                 target.apply(rotation, translation)
         for child, kind in self._living_parts():
             if kind not in self.targets:

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi
+from typing import NamedTuple
 
 import bpy
 import numpy as np
-from mathutils import Matrix, Quaternion, Vector
+from mathutils import Euler, Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
 from ...core.arrays import IntArray
@@ -48,6 +49,24 @@ from ..own_pose import (
 )
 
 FloatArray = NDArray[np.floating]
+
+
+class Placement(NamedTuple):
+    """Where the user's animation places a target in N frames; None where it does not.
+
+    Attributes
+    ----------
+    rotations : (N, 3, 3) array or None
+        Of an object, without its delta transform.
+    angles : (N, 3) array or None
+        Euler angles of the channels of the pose, radians; Blender adds those of a bake to each of them.
+    """
+
+    rotations: FloatArray | None = None
+    angles: FloatArray | None = None
+
+
+_STILL = Placement()
 
 
 @dataclass(frozen=True)
@@ -171,7 +190,7 @@ class PoseTarget:
         translations: FloatArray | None,
         angle: float | None = None,
         length: float | None = None,
-        placed: FloatArray | None = None,
+        placed: Placement = _STILL,
     ) -> list[Curve]:
         """Return the curves of a motion, and remember the user's own pose.
 
@@ -183,16 +202,17 @@ class PoseTarget:
             Head frame, the unit of the head.
         angle, length : float, optional
             As the tolerance of `Curve`: radians, and the unit of the head.
-        placed : (N, 3, 3) array, optional
-            As for `turned`.
+        placed : Placement, optional
+            In the same frames.
         """
         if rotations is None and translations is None:
             return []
         hold_own(self.owner)
         curves = []
         if rotations is not None:
-            curves = self._rotation_curves(self._added(self.turned(rotations, placed)), angle)
-        if (locations := self._location(rotations, translations, placed)) is not None:
+            turns = self._added(self.turned(rotations, placed.rotations))
+            curves = self._rotation_curves(turns, angle, placed.angles)
+        if (locations := self._location(rotations, translations, placed.rotations)) is not None:
             curves += self._curves("location", locations, length)
         return curves
 
@@ -201,16 +221,26 @@ class PoseTarget:
         own = np.array(own_pose(self.owner).rotation)
         return np.asarray(own @ turns if self.bone else turns @ own)
 
-    def _rotation_curves(self, rotations: FloatArray, tolerance: float | None) -> list[Curve]:
-        """Return curves of (N, 3, 3) rotations of the channels, without jumps between equivalent angles."""
+    def _rotation_curves(
+        self, rotations: FloatArray, tolerance: float | None, added_to: FloatArray | None
+    ) -> list[Curve]:
+        """Return curves of (N, 3, 3) rotations of the channels, without jumps between equivalent angles; what has to be
+        added to (N, 3) angles to rotate further by that much if there are such.
+        """
         owner = self.owner
         channel, matrices = rotation_channel(owner), [Matrix(rotation.tolist()) for rotation in rotations]
         if channel == "rotation_euler":
-            values, previous = np.empty((len(matrices), 3)), own_pose(owner).rotation.to_euler(owner.rotation_mode)
-            for row, matrix in zip(values, matrices, strict=True):
-                previous = matrix.to_euler(owner.rotation_mode, previous)
-                row[:] = previous
-            return self._curves(channel, values, tolerance)
+            own = own_pose(owner).rotation.to_euler(owner.rotation_mode)
+            placed = (
+                [own] * len(matrices) if added_to is None else [Euler(one, owner.rotation_mode) for one in added_to]
+            )
+            values, offset = np.empty((len(matrices), 3)), Vector()
+            for row, matrix, at in zip(values, matrices, placed, strict=True):
+                turned = matrix if added_to is None else at.to_matrix() @ matrix
+                near = Euler(Vector(at) + offset, owner.rotation_mode)
+                row[:] = turned.to_euler(owner.rotation_mode, near)
+                offset = Vector(row) - Vector(at)
+            return self._curves(channel, values if added_to is None else values - added_to, tolerance)
         values = continuous_quaternions([matrix.to_quaternion() for matrix in matrices])
         return self._curves(channel, values if channel == "rotation_quaternion" else _axis_angles(values), tolerance)
 

@@ -19,7 +19,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.settings import BakeSettings, PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions.show import TakeShow
 from takes import performance
@@ -180,6 +180,33 @@ def test_the_pose_of_a_bone_is_added_to_the_users(mode):
     assert values_of(bone, CHANNELS) == channels
 
 
+@pytest.mark.parametrize("mode", MODES[:3])
+def test_a_pose_that_is_added_to_an_animated_bone_turns_it_about_its_own_axes(mode):
+    head, _ = bind_character(make_character(rig=True)["head"])
+    target, scene = own_targets(head)["head"], bpy.context.scene
+    bone = target.owner
+    bone.rotation_mode = mode
+    channel = "rotation_quaternion" if mode == "QUATERNION" else "rotation_euler"
+    for frame, angle in ((1, 0.0), (90, 1.1)):
+        turn = Euler((0.5, angle, -0.4))
+        setattr(bone, channel, turn.to_quaternion() if mode == "QUATERNION" else turn.to_quaternion().to_euler(mode))
+        bone.keyframe_insert(channel, frame=frame)
+
+    def poses():
+        found = []
+        for frame in (5, 40, 55):
+            scene.frame_set(frame)
+            found.append(np.array(bone.matrix_basis))
+        return found
+
+    before = poses()
+    report = puppet_head(scene, head, performance(), PuppetSettings(bake=BakeSettings(keep_animation=True)))
+    times = frames_of(scene, report.motion.times)
+    for frame, own, posed in zip((5, 40, 55), before, poses(), strict=True):
+        wanted = target.turned(report.motion.rotation[int(np.abs(times - frame).argmin())])
+        np.testing.assert_allclose(turn_of(own, posed), wanted, atol=0.02)
+
+
 def test_a_head_on_a_moving_bone_stays_on_it():
     armature = bpy.data.objects.new("rig", bpy.data.armatures.new("rig"))
     bpy.context.scene.collection.objects.link(armature)
@@ -255,3 +282,49 @@ def test_a_placement_by_a_driver_or_beside_muted_animation_stays(moved_by):
         np.testing.assert_allclose(world(head)[:3, 3], before[:3, 3], atol=1e-6)
     remove_baked(head, own_targets(head))
     np.testing.assert_allclose(world(head), before, atol=1e-6)
+
+
+@pytest.mark.parametrize("mode", ["XYZ", "QUATERNION"])
+@pytest.mark.parametrize("kept_in", ["the action", "an NLA track"])
+def test_a_preview_follows_an_animated_delta_transform_and_leaves_it(mode, kept_in):
+    head, scene = placed_head(mode), bpy.context.scene
+    channel = "delta_rotation_quaternion" if mode == "QUATERNION" else "delta_rotation_euler"
+    for frame, angle in ((1, 0.0), (90, 1.4)):
+        turn = Euler((0.1, 0.0, angle))
+        setattr(head, channel, turn.to_quaternion() if mode == "QUATERNION" else turn)
+        head.delta_location = (0.0, angle, 1.5)
+        for path in (channel, "delta_location"):
+            head.keyframe_insert(path, frame=frame)
+    if kept_in == "an NLA track":
+        data = head.animation_data
+        action, slot = data.action, getattr(data, "action_slot", None)
+        strip = data.nla_tracks.new().strips.new("Strip", 1, action)
+        if slot is not None:
+            strip.action_slot = slot
+        data.action = None
+
+    def places():
+        found = []
+        for frame in (5, 40, 55):
+            scene.frame_set(frame)
+            found.append(world(head))
+        return found
+
+    before = places()
+    show, take = TakeShow(scene, [head], performance()), performance()
+    shown = places()
+    show.close()
+    for place, again in zip(before, places(), strict=True):
+        np.testing.assert_allclose(again, place, atol=1e-5)
+    report = puppet_head(scene, head, take)
+    baked = places()
+    times = frames_of(scene, report.motion.times)
+    for frame, own, posed, by_bake in zip((5, 40, 55), before, shown, baked, strict=True):
+        wanted = rotation_to_blender(report.motion.rotation[int(np.abs(times - frame).argmin())])
+        np.testing.assert_allclose(turn_of(own, posed), wanted, atol=0.02)
+        np.testing.assert_allclose(posed[:3, 3], own[:3, 3], atol=1e-5)
+        np.testing.assert_allclose(turn_of(own, by_bake), wanted, atol=0.02)
+    again = TakeShow(scene, [head], performance())
+    for place, posed in zip(shown, places(), strict=True):
+        np.testing.assert_allclose(posed, place, atol=1e-5)
+    again.close()
