@@ -18,6 +18,28 @@ def collections_in(place: bpy.types.LayerCollection) -> Iterator[bpy.types.Layer
         yield from collections_in(child)
 
 
+def show(objects: Sequence[bpy.types.Object]) -> bool:
+    """Show objects in the view layer from now on, with the collections that have them; return whether some were hidden.
+
+    Parameters
+    ----------
+    objects : sequence of bpy.types.Object
+    """
+    layer, wanted = bpy.context.view_layer, [obj for obj in objects if not obj.visible_get()]
+    if not wanted:
+        return False
+    for place in collections_in(layer.layer_collection):
+        if set(wanted).intersection(place.collection.all_objects):
+            place.exclude = place.hide_viewport = place.collection.hide_viewport = False
+    for obj in wanted:
+        obj.hide_viewport = False
+    layer.update()
+    for obj in wanted:
+        if obj.name in layer.objects:
+            obj.hide_set(False)
+    return True
+
+
 @contextmanager
 def revealed(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Make objects visible and selectable in the view layer for a while, with the collections that have them.

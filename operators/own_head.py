@@ -8,6 +8,7 @@ from bpy.props import EnumProperty, IntProperty
 from mathutils import Matrix
 
 from ..blender.characters import read_bones
+from ..blender.collections import show
 from ..blender.heads.binding import (
     check_object,
     move_landmark,
@@ -64,6 +65,13 @@ def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) ->
     for finding in findings:
         operator.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
     return bool(findings)
+
+
+def _choose(context: bpy.types.Context, head: bpy.types.Object) -> None:
+    """Select a head alone, and show its character if the head is hidden."""
+    if not head.visible_get():
+        show([head, *character_of(head)])
+    select_alone(context, head)
 
 
 def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: dict[bpy.types.Object, Matrix]) -> None:
@@ -123,7 +131,7 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         before = placements()
         head = bind_keys(chosen_character(context))
-        select_alone(context, head)
+        _choose(context, head)
         _report_turn(self, head, before)
         if not bpy.app.background and context.window is not None:
             _turn_to_face(context)
@@ -143,7 +151,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
         """Search for the face in a thread, and bind what was found."""
         former, before = FormerBinding(context), placements()
         head, binding = yield from in_background(search_character(chosen_character(context)))
-        select_alone(context, head)
+        _choose(context, head)
         _report_turn(self, head, before)
         alone = self.in_window and _turn_to_face(context)
         self._report(context, binding, alone)

@@ -144,7 +144,8 @@ def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
     -------
     bpy.types.Object or None
         The active object if it is a selected mesh; otherwise the object among the selected and active ones that most
-        likely belongs to a character; with nothing selected, one of the only character there is.
+        likely belongs to a character; with nothing selected, one of the only character in sight, or in the scene if
+        none is in sight.
     """
     active, selected = context.active_object, context.selected_objects
     chosen = list(dict.fromkeys([*([active] if active in selected else []), *selected, *([active] if active else [])]))
@@ -152,7 +153,7 @@ def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
         return chosen[0]
     found = [obj for obj in chosen if leads_to_face(obj)]
     if not found or not selected:
-        there = _characters(context.visible_objects)
+        there = _characters(context.visible_objects) or _characters(context.scene.objects)
         found = [there[0][0], *found] if len(there) == 1 else found
     return max(found, key=is_character, default=None)
 

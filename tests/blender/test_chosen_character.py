@@ -68,6 +68,43 @@ def test_with_nothing_selected_the_only_character_is_found(character):
     assert face_candidates(character_in(bpy.context))[0] == character["head"]
 
 
+@pytest.mark.parametrize("hidden", ["collection", "excluded", "eye", "viewport"])
+@pytest.mark.parametrize("by", ["landmarks", "keys"])
+def test_with_nothing_selected_a_hidden_character_is_found_and_shown(character, hidden, by):
+    place = bpy.data.collections.new("Cast")
+    bpy.context.scene.collection.children.link(place)
+    for obj in character.values():
+        obj.users_collection[0].objects.unlink(obj)
+        place.objects.link(obj)
+    if by == "keys":
+        character["head"].shape_key_add(name="Basis")
+        for name in ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "mouthSmileLeft"):
+            character["head"].shape_key_add(name=name, from_mix=False).points[0].co.z += 0.01
+    select()
+    bpy.context.view_layer.objects.active = None
+    layer = bpy.context.view_layer.layer_collection.children["Cast"]
+    if hidden == "collection":
+        layer.hide_viewport = True
+    elif hidden == "excluded":
+        layer.exclude = True
+    for obj in character.values():
+        if hidden == "eye":
+            obj.hide_set(True)
+        obj.hide_viewport = hidden == "viewport"
+    assert {"landmarks": bpy.ops.facemime.bind_landmarks, "keys": bpy.ops.facemime.bind_keys}[by]() == {"FINISHED"}
+    assert heads_in(bpy.context) == [character["head"]] and bpy.context.selected_objects == [character["head"]]
+    assert all(obj.visible_get() for obj in character.values())
+
+
+def test_a_character_in_sight_comes_before_a_hidden_one(character):
+    for obj in character.values():
+        obj.hide_set(True)
+    select()
+    other = make_character(rig=True)
+    select()
+    assert face_candidates(character_in(bpy.context))[0] == other["head"]
+
+
 def test_of_two_characters_the_selected_one_is_found(character):
     other = make_character(rig=True)
     other["head"].name = "Villain_Head"
