@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import bpy
@@ -13,7 +14,7 @@ from ...core.heads.built_in import load_head
 from ...core.landmarks import outer_eye_distance
 from ...core.rotation import fit_rotation
 from ..characters import objects_of
-from ..collections import collections_in
+from ..collections import collections_in, revealed
 from ..frames import to_blender
 from ..meshes import can_be_driven, read_places
 from ..muting import mute_paths
@@ -166,12 +167,13 @@ def _show_in_renders(scene: bpy.types.Scene, head: bpy.types.Object) -> None:
 
 def face_points(obj: bpy.types.Object) -> NDArray[np.float64]:
     """Return (V, 3) vertices of the mesh `obj` in world space, with its modifiers unless these change their number."""
-    graph = bpy.context.evaluated_depsgraph_get()
-    shown = obj.evaluated_get(graph)
-    mesh = shown.data if len(shown.data.vertices) == len(obj.data.vertices) else obj.data
-    flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
-    mesh.vertices.foreach_get("co", flat)
-    world = np.array(shown.matrix_world)
+    with nullcontext() if obj.visible_get() else revealed([obj]):
+        graph = bpy.context.evaluated_depsgraph_get()
+        shown = obj.evaluated_get(graph)
+        mesh = shown.data if len(shown.data.vertices) == len(obj.data.vertices) else obj.data
+        flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+        mesh.vertices.foreach_get("co", flat)
+        world = np.array(shown.matrix_world)
     return np.asarray(flat.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])
 
 
@@ -192,4 +194,6 @@ def _aim_camera(scene: bpy.types.Scene, view: FaceView, size: tuple[int, int]) -
     camera.location = view.axes @ (centre[0], nearest, centre[2])
     camera.rotation_euler = _facing(view).to_euler()
     data.clip_start, data.clip_end = distance / 100.0, distance * 10.0
+    for marker in scene.timeline_markers:  # they would change the camera as soon as the scene is shown
+        marker.camera = None
     scene.camera = camera

@@ -98,6 +98,18 @@ def _hidden_by_animation(scene, _):
         obj.keyframe_insert("hide_render", frame=1)
 
 
+def _excluded_on_a_moved_parent(scene, _):
+    head, parent = scene.objects["Facemime Head"], bpy.data.objects.new("Hero", None)
+    cast = bpy.data.collections.new("Cast")
+    scene.collection.children.link(cast)
+    cast.objects.link(parent)
+    for obj in (head, *head.children):
+        obj.users_collection[0].objects.unlink(obj)
+        cast.objects.link(obj)
+    bpy.context.view_layer.layer_collection.children["Cast"].exclude = True
+    head.parent, parent.location, parent.delta_location = parent, (0.0, 0.0, 3.0), (0.0, 2.0, 1.5)
+
+
 def _background(scene, _):
     other = bpy.data.scenes.new("Set")
     cube = bpy.data.objects.new("Cube", bpy.data.meshes.new("Cube"))
@@ -108,14 +120,16 @@ def _background(scene, _):
 
 SETTINGS = [
     *(_strip, _marker, _region, _compositor, _colours, _look, _stereo, _output, _engine, _workbench, _layers),
-    *(_hidden, _hidden_by_animation, _background),
+    *(_hidden, _hidden_by_animation, _excluded_on_a_moved_parent, _background),
 ]
 
 
 def picture():
+    """The second of two pictures, as a video comes before a contact sheet."""
     scene, head = bpy.context.scene, bpy.context.scene.objects["Facemime Head"]
     setup_preview(scene, head, SIZE, face_view(head))
-    (image,) = render_frames(scene, [30.0], SIZE)
+    for _ in range(2):
+        (image,) = render_frames(scene, [30.0], SIZE)
     return image.astype(float)
 
 
