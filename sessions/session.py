@@ -15,7 +15,7 @@ from bpy.app.handlers import persistent
 from ..blender.animation.bake import pose_targets_of
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
-from ..blender.animation.overruled import overruled
+from ..blender.animation.overruled import overruled, unseen
 from ..blender.registering import watch
 from ..core.errors import HeadError
 
@@ -100,7 +100,8 @@ class Session:
             return []
         targets = [target for shown in self.heads for target in pose_targets_of(shown.obj, shown.targets)]
         follow = self.heads[0].follow
-        return overruled(targets, rotation=follow.rotation, translation=follow.translation)
+        hidden = unseen(shown.obj for shown in self.heads)
+        return [*hidden, *overruled(targets, rotation=follow.rotation, translation=follow.translation)]
 
     def rest_copies(self) -> None:
         """Put objects at rest that were duplicated from those that the session moves, if there are other objects than

@@ -1,4 +1,4 @@
-"""What in a scene keeps a baked or live pose from being seen: armatures in Rest Position, and constraints."""
+"""What keeps a baked or live pose from being seen: hidden heads, armatures in Rest Position, and constraints."""
 
 from __future__ import annotations
 
@@ -46,6 +46,15 @@ def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: boo
         warning = f"Constraints override the pose: {names}. Mute them to show it."
         warnings.append(warning)
     return warnings
+
+
+def unseen(heads: Iterable[bpy.types.Object]) -> list[str]:
+    """Return a warning that names the heads which the view layer hides, if there are any."""
+    names = ", ".join(head.name for head in heads if not head.visible_get())
+    if not names:
+        return []
+    warning = f"Hidden: {names}. Show it, or enable its collection, in the Outliner to see the animation."
+    return [warning]
 
 
 def _rests(armature: bpy.types.Object) -> bool:

@@ -37,7 +37,7 @@ from .bake_keys import (
     moving_key_names,
     read_keys,
 )
-from .overruled import overruled
+from .overruled import overruled, unseen
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
 from .underneath import mute_disturbing, playing_under
@@ -160,8 +160,8 @@ def puppet_head(
             parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
     error = plan.error / unit + (bake.clean if plan.keys else 0.0)
-    hidden = overruled(pose_targets_of(obj, targets), **follow)
-    notes = tuple(filter(None, [_what_was_muted(silenced), *hidden, outside_range(scene, whole)]))
+    unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow)]
+    notes = tuple(filter(None, [_what_was_muted(silenced), *unseen_for, outside_range(scene, whole)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))
     return PuppetReport(plan.keys, error, neutral, motion, others, start, notes)
 

@@ -81,3 +81,22 @@ def test_a_live_puppet_says_it_too(rigged, capfd):
     assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
     assert f"{armature.name} is in Rest Position" in capfd.readouterr().out
     bpy.ops.facemime.stop_puppet()
+
+
+@pytest.mark.parametrize("how", ["eye", "excluded"])
+def test_a_hidden_head_is_said(how):
+    head, scene = add_head(bpy.context), bpy.context.scene
+    assert not puppet_head(scene, head, performance()).warnings
+    if how == "eye":
+        head.hide_set(True)
+    else:
+        cast = bpy.data.collections.new("Cast")
+        scene.collection.children.link(cast)
+        head.users_collection[0].objects.unlink(head)
+        cast.objects.link(head)
+        bpy.context.view_layer.layer_collection.children["Cast"].exclude = True
+    (warning,) = puppet_head(scene, head, performance()).warnings
+    assert warning.startswith(f"Hidden: {head.name}")
+    show = TakeShow(scene, [head], performance())
+    assert any(text.startswith(f"Hidden: {head.name}") for text in show.warnings)
+    show.close()
