@@ -95,7 +95,7 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
                 "Add rows manually, import a mapping, or learn one from poses."
             )
         write_table(context.scene.facemime_takes.bake, table)
-        report(self, f"{table.name}: {len(table.keys)} shape keys")
+        report(self, table.summary())
 
 
 class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):

@@ -12,8 +12,13 @@ def read_table(bake: FacemimeBake) -> KeyMap:
     for number, row in enumerate(bake.rows, start=1):
         if not row.key:
             raise FacemimeError(f"Row {number} of the key mapping has no shape key. Choose one, or remove the row.")
-    rows = tuple(KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows)
-    return KeyMap(bake.table or "Mapping", rows)
+    return table_so_far(bake)
+
+
+def table_so_far(bake: FacemimeBake) -> KeyMap:
+    """Return the key mapping without the rows that have no key yet."""
+    rows = (KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows if row.key)
+    return KeyMap(bake.table or "Mapping", tuple(rows))
 
 
 def write_table(bake: FacemimeBake, table: KeyMap) -> None:

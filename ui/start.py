@@ -68,7 +68,7 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
             row.operator("facemime.puppet", text="Start", icon="PLAY")
             row.operator("facemime.record_take", text="Record", icon="REC")
         elif character is not None:
-            _draw_binding(layout, row, character)
+            _draw_binding(layout, context, row, character)
         else:
             row.operator("facemime.add_head", text="Add Head", icon="MONKEY")
             row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
@@ -110,11 +110,14 @@ def _name(heads: list[bpy.types.Object], character: bpy.types.Object | None) -> 
     return _("No head yet") if character is None else face_candidates(character)[0].name
 
 
-def _draw_binding(layout: bpy.types.UILayout, row: bpy.types.UILayout, character: bpy.types.Object) -> None:
+def _draw_binding(
+    layout: bpy.types.UILayout, context: bpy.types.Context, row: bpy.types.UILayout, character: bpy.types.Object
+) -> None:
     """Draw the ways to drive a character: by the known shape keys that it has, or by its face."""
     if (table := known_keys(character)) is not None:
         text = _("Use Its {count} {name} Keys").format(count=len(table.keys), name=table.short_name)
         row.operator("facemime.bind_keys", text=text, icon="SHAPEKEY_DATA", translate=False)
+        labels(layout, context, table.summary())
         row = layout.row(align=True)
     row.operator("facemime.bind_landmarks", text="Find Face", icon="VIEWZOOM")
     row.operator("facemime.mark_face", text="", icon="PIVOT_CURSOR")

@@ -10,6 +10,7 @@ from ..core.timecode import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
+from ..settings.bake_table import table_so_far
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
 
 _MAPPED = "mapped"
@@ -174,6 +175,8 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
             column.prop(line, "gain")
             column.prop(line, "offset")
         layout.operator("facemime.detect_key_map", text="Detect", icon="VIEWZOOM")
+        if bake.rows:
+            labels(layout, context, table_so_far(bake).summary())
         column = layout.column(align=True)
         added = _("Add Pose ({count} added)").format(count=len(bake.poses))
         column.operator("facemime.add_key_pose", text=added, translate=False, icon="ADD")

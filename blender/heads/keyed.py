@@ -80,6 +80,13 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     return head
 
 
+def driven_by_its_keys(head: bpy.types.Object) -> str:
+    """Return a text that says what the shape keys show of a performance that drive a head without landmarks."""
+    table = known_set(head)
+    covered = "" if table is None else f" {table.summary()}"
+    return f"{head.name} is driven by its shape keys alone.{covered}"
+
+
 def _mixture(table: KeyMap, key: str) -> np.ndarray:
     """Return (52,) gains of the units that a mapping assigns to a key."""
     mixture = np.zeros(len(COEFFICIENTS))

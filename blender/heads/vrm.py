@@ -8,7 +8,8 @@ from typing import Any
 import bpy
 import numpy as np
 
-from ...core.bake.key_map import ESSENTIAL, normalised
+from ...core.bake.key_map import ESSENTIAL
+from ...core.bake.key_names import normalised
 from ...core.heads.vrm import MorphBind, expressions_of
 from .keyed import known_set
 

@@ -16,7 +16,7 @@ from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import check_object
 from ...blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ...blender.heads.family import armature_of, character_of, family_of
-from ...blender.heads.keyed import bind_keys, known_set
+from ...blender.heads.keyed import bind_keys, driven_by_its_keys, known_set
 from ...blender.heads.landmark_pictures import draw_landmarks
 from ...blender.heads.marks import Mark, mark_points, position_of
 from ...blender.meshes import driven_by_keys, read_landmarks
@@ -161,7 +161,7 @@ def _bound(chosen: bpy.types.Object, marks: Mapping[int, Mark]) -> tuple[bpy.typ
         if not any(found.sources >= ESSENTIAL for found in sets):
             raise
     head = bind_keys(chosen)
-    tell(f"No face was found. {head.name} is driven by its shape keys alone.")
+    tell(f"No face was found. {driven_by_its_keys(head)}")
     return head, None
 
 

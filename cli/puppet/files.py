@@ -14,7 +14,7 @@ from ...blender.contexts import scene_of, showing_scene
 from ...blender.heads.binding import bind_character, check_object, placements, turn_note
 from ...blender.heads.eyes import open_eyes
 from ...blender.heads.family import family_of, heads_of, likely_character
-from ...blender.heads.keyed import bind_keys, known_set
+from ...blender.heads.keyed import bind_keys, driven_by_its_keys, known_set
 from ...blender.heads.lips import open_lips
 from ...blender.heads.vrm import add_expressions
 from ...blender.media.rendering import quiet, set_rate
@@ -252,7 +252,7 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
     sets = [] if by_keys is None else [known_set(member) for member in family_of(chosen)]
     if any(found is not None and found.sources.issuperset(by_keys) for found in sets):
         head = bind_keys(chosen)
-        tell(f"{head.name} is driven by its shape keys alone.")
+        tell(driven_by_its_keys(head))
         return head
     head, binding = bound_character(chosen)
     if binding.doubt:

@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +22,7 @@ from ..coefficient_names import EXCLUSIVE_NAMES
 from ..errors import SourceError
 from ..reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
 from .arkit import COEFFICIENTS
+from .key_names import names_of, normalised, without_node
 from .least_squares import bounded_least_squares
 
 PRESETS = ASSETS / "key_maps"
@@ -32,17 +31,10 @@ _MAX_ROWS, _MAX_VALUE = 10_000, 1e6
 """Largest number of rows, and largest gains and offsets, in a file."""
 ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 """Coefficients without which keys do not form a set for a whole face."""
-_KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshapes", "bs", "morph")
-"""First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
-_NODE = re.compile(r"^.*(?:[.:|]|_(?=Fcl_))", re.IGNORECASE)
-"""Name of a node before that of a key, as Maya and VRoid Studio write it."""
-_AFFIXES = (re.compile(r"^[^\W_]+[\W_]+(?=.)"), re.compile(r"(?<=.)[\W_]+[^\W_]+$"))
-"""First and last words of names, as in `Head_jawOpen` and `jawOpen_Mesh`."""
-_AFFIX_SHARE, _MIN_AFFIXED = 0.8, 8
-"""Share and number of keys from which a word that they share is not of their own names. The share is below 1 for the
-Basis; two sides have half of the names each."""
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
+_LISTED = 4
+"""Coefficients without a key that a message names."""
 _RIDGE = 1e-3
 """Ridge of equation 9.6 towards the gains of the given table."""
 _FIRMNESS = 1e5
@@ -54,12 +46,17 @@ _MIN_GAIN = 0.01
 
 @dataclass(frozen=True)
 class KeyRow:
-    """A row of a table: it sets `key` to `gain` times the coefficient `source`, plus `offset`; rows of a key add up."""
+    """A row of a table: it sets `key` to `gain` times the coefficient `source`, plus `offset`; rows of a key add up.
+
+    A row with a higher `rank` is used only for meshes that have no key of a lower rank of the same source: meshes have
+    one key for both eyelids, or two, or all three.
+    """
 
     source: str
     key: str
     gain: float = 1.0
     offset: float = 0.0
+    rank: int = 0
 
 
 @dataclass(frozen=True)
@@ -122,6 +119,15 @@ class KeyMap:
         """Coefficients that the table uses."""
         return frozenset(row.source for row in self.rows)
 
+    def summary(self) -> str:
+        """Return a text that says how much of a performance the keys can show."""
+        keys, missing = len(self.keys), [name for name in COEFFICIENTS if name not in self.sources]
+        if not missing:
+            return f"{self.short_name}: {keys} shape keys for all 52 movements."
+        names = ", ".join([*missing[:_LISTED], *(["..."] if len(missing) > _LISTED else [])])
+        shown_of = len(COEFFICIENTS) - len(missing)
+        return f"{self.short_name}: {keys} shape keys for {shown_of} of 52 movements, not for {names}."
+
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
         """Compute the values of shape keys.
 
@@ -178,18 +184,23 @@ class KeyMap:
 
     def _states_each_once(self) -> bool:
         """Return whether each key is a coefficient, of which each has one key, or one of each node."""
-        names = {(row.source, normalised(_NODE.sub("", row.key))) for row in self.rows}
+        names = {(row.source, normalised(without_node(row.key))) for row in self.rows}
         single = len(self.rows) == len(self.keys) and all(row.gain for row in self.rows)
         return single and (len(names) == len(self.sources) or len(self.keys) == len(self.sources))
 
-    def matched(self, keys: Iterable[str]) -> KeyMap:
-        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`.
+    def matched(self, keys: Iterable[str], *, ranked: bool = True) -> KeyMap:
+        """Return the rows whose key is among `keys`, regardless of spelling, with the names in `keys`; if `ranked`,
+        those of the lowest rank of each source.
 
         A key of each node counts, as Maya has a node for each mesh.
         """
-        known = _by_name(keys)
-        rows = (replace(row, key=key) for row in self.rows for key in known.get(normalised(row.key), ()))
-        return KeyMap(self.name, tuple(rows))
+        known = _by_name(tuple(keys), frozenset(normalised(row.key) for row in self.rows))
+        rows = [row for row in self.rows if normalised(row.key) in known]
+        first: dict[str, int] = {}
+        for row in rows:
+            first[row.source] = min(row.rank, first.get(row.source, row.rank))
+        rows = [row for row in rows if row.rank == first[row.source] or not ranked]
+        return KeyMap(self.name, tuple(replace(row, key=key) for row in rows for key in known[normalised(row.key)]))
 
     def to_json(self) -> str:
         """Serialise to the text that `from_json` parses."""
@@ -226,7 +237,8 @@ def _row(data: Mapping[str, Any]) -> KeyRow:
         as_number(data.get(name, default), f"the {name} of {shown(key)}", -_MAX_VALUE, _MAX_VALUE)
         for name, default in (("gain", 1.0), ("offset", 0.0))
     )
-    return KeyRow(source, key, gain, offset)
+    rank = int(as_number(data.get("rank", 0), f"the rank of {shown(key)}", 0, _MAX_ROWS))
+    return KeyRow(source, key, gain, offset, rank)
 
 
 def load_map(path: Path) -> KeyMap:
@@ -262,55 +274,26 @@ def expression_keys(keys: Sequence[str]) -> list[str]:
 
 def known_expressions(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset."""
-    known = {normalised(key) for preset in presets() for key in preset.keys}
-    names = _names(keys)
-    return [key for key in keys if not known.isdisjoint(names[key])]
+    known = {key for preset in presets() for key in preset.matched(keys, ranked=False).keys}
+    return [key for key in keys if key in known]
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:
     """Return the pairs of `keys`, by position, that are named as ARKit's coefficients which exclude each other."""
-    known, places = _by_name(keys), {key: place for place, key in reversed(list(enumerate(keys)))}
+    known = _by_name(tuple(keys), frozenset(map(normalised, COEFFICIENTS)))
+    places = {key: place for place, key in reversed(list(enumerate(keys)))}
     pairs = [[known.get(normalised(name), []) for name in pair] for pair in EXCLUSIVE_NAMES]
     return [(places[one], places[other]) for ones, others in pairs for one in ones for other in others]
 
 
-def _by_name(keys: Iterable[str]) -> dict[str, list[str]]:
-    """Return keys by each of their names; the first one of each node."""
+@lru_cache(maxsize=64)
+def _by_name(keys: tuple[str, ...], known: frozenset[str]) -> dict[str, list[str]]:
+    """Return keys by each of their names of a vocabulary; the first one of each node."""
     found: dict[str, dict[str, str]] = {}
-    for key, names in _names(keys).items():
+    for key, names in names_of(keys, known).items():
         for name in names:
-            found.setdefault(name, {}).setdefault(key.removesuffix(_NODE.sub("", key)), key)
+            found.setdefault(name, {}).setdefault(key.removesuffix(without_node(key)), key)
     return {name: list(of.values()) for name, of in found.items()}
-
-
-def _names(keys: Iterable[str]) -> dict[str, set[str]]:
-    """Return the normalised names of keys: as they are, without that of a node, and without words that most share."""
-    bare = {key: _NODE.sub("", key) for key in keys}
-    names = {key: {normalised(key), normalised(name)} for key, name in bare.items()}
-    for affix in _AFFIXES:
-        words = {key: match[0] for key, name in bare.items() if (match := affix.search(name))}
-        word, count = max(Counter(words.values()).items(), key=itemgetter(1), default=("", 0))
-        if count >= max(_MIN_AFFIXED, _AFFIX_SHARE * len(bare)) and word not in _own_words():
-            bare |= {key: affix.sub("", bare[key]) for key, of in words.items() if of == word}
-    for key, name in bare.items():
-        names[key].add(normalised(name))
-    return names
-
-
-@lru_cache(maxsize=1)
-def _own_words() -> frozenset[str]:
-    """First words of the keys of the shipped tables, such as `viseme_`."""
-    keys = [key for preset in presets() for key in preset.keys]
-    return frozenset(match[0] for key in keys if (match := _AFFIXES[0].search(key)))
-
-
-def normalised(name: str) -> str:
-    """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
-    words = re.sub(r"[\W_]+", " ", re.sub(r"(?<=[a-z])(?=[LR]$)", " ", name)).strip()
-    for short, side in (("L", "left"), ("R", "right")):
-        words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
-    first, _, rest = words.partition(" ")
-    return (rest if rest and first.lower() in _KINDS else words).replace(" ", "").casefold()
 
 
 def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], start: KeyMap) -> KeyMap:

@@ -1,0 +1,102 @@
+"""Names of shape keys as programs write them, and the known names that they stand for."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Container, Iterable, Iterator, Set
+
+_KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshapes", "bs", "morph")
+"""First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
+_NODE = re.compile(r"[.:|]|_(?=Fcl_)", re.IGNORECASE)
+"""What is between the name of a node and that of a key, as Maya and VRoid Studio write it."""
+_FIRST, _LAST = re.compile(r"^[\W_]*[^\W_]+[\W_]+(?=.)|^[\W_]+(?=.)"), re.compile(r"(?<=.)[\W_]+[^\W_]+$")
+"""First and last word of a name, as in `Head_jawOpen` and `jawOpen_Mesh`."""
+_MOST_FIRST, _MOST_LAST = 3, 2
+"""Words that may come before and after a name: `Genesis9__facs_bs_JawOpen_div2`."""
+_LEAST_LETTERS = 6
+"""Letters of a known name that is found at the end of another without a separator: the names of vowels are in all."""
+_MIN_AFFIXED = 8
+"""Known names that have to have a prefix or suffix before it is taken for one. By chance, the keys of one of the 14
+shipped tables have at most 5 names of another in common (Daz's are ARKit's).
+"""
+
+
+def normalised(name: str) -> str:
+    """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
+    name = unicodedata.normalize("NFKC", name)
+    words = re.sub(r"[\W_]+", " ", re.sub(r"(?<=[a-z])(?=[LR]$)", " ", name)).strip()
+    for short, side in (("L", "left"), ("R", "right")):
+        words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
+    first, _, rest = words.partition(" ")
+    return (rest if rest and first.lower() in _KINDS else words).replace(" ", "").casefold()
+
+
+def without_node(name: str) -> str:
+    """Return the name of a key without that of the node that has it."""
+    return list(_without_nodes(name))[-1]
+
+
+def _without_nodes(name: str) -> Iterator[str]:
+    """Yield a name, and what comes after each separator in it."""
+    yield name
+    yield from (name[match.end() :] for match in _NODE.finditer(name))
+
+
+def names_of(keys: Iterable[str], known: Set[str]) -> dict[str, set[str]]:
+    """Return the normalised names for which each key may stand.
+
+    A key stands for its name with and without that of its node. One that is not known may have a prefix and a suffix
+    that are not of its name: those without which many keys would be known. Digits in them may differ.
+
+    Parameters
+    ----------
+    keys : iterable of str
+    known : set of str
+        Normalised names of all known keys.
+    """
+    names = {key: set(map(normalised, _without_nodes(key))) for key in keys}
+    taken = set().union(*names.values())
+    shorter: dict[tuple[str, str], dict[str, str]] = {}
+    for key in (key for key, own in names.items() if own.isdisjoint(known)):
+        for affix, name in {*_by_words(key, known), *_by_letters(key, known)}:
+            if name not in taken:
+                shorter.setdefault(affix, {}).setdefault(key, name)
+    for of in shorter.values():
+        if len(set(of.values())) >= _MIN_AFFIXED:
+            for key, name in of.items():
+                names[key].add(name)
+    return names
+
+
+def _by_words(key: str, known: Container[str]) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield the words before and after known names in `key`, and these names."""
+    for before, shortened in _without(key, _FIRST, _MOST_FIRST):
+        for after, name in _without(shortened, _LAST, _MOST_LAST):
+            if (before or after) and normalised(name) in known:
+                yield (_numbered(before), _numbered(after)), normalised(name)
+
+
+def _without(name: str, word: re.Pattern[str], most: int) -> Iterator[tuple[str, str]]:
+    """Yield up to `most` words at one end of a name, and the rest, from none on."""
+    affix = ""
+    yield affix, name
+    for _ in range(most):
+        if (match := word.search(name)) is None:
+            return
+        affix, name = affix + match[0], word.sub("", name)
+        yield affix, name
+
+
+def _by_letters(key: str, known: Iterable[str]) -> Iterator[tuple[tuple[str, str], str]]:
+    """Yield the letters before or after the longest known name at an end of `key`, and that name."""
+    own = normalised(key)
+    long = [name for name in known if _LEAST_LETTERS <= len(name) < len(own)]
+    if name := max(filter(own.endswith, long), key=len, default=""):
+        yield (_numbered(own.removesuffix(name)), ""), name
+    if name := max(filter(own.startswith, long), key=len, default=""):
+        yield ("", _numbered(own.removeprefix(name))), name
+
+
+def _numbered(affix: str) -> str:
+    return re.sub(r"\d+", "#", affix)

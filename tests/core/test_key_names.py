@@ -1,0 +1,130 @@
+"""Names of shape keys as other programs write them lead to the coefficients that they show."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+from facemime.core.bake.key_map import COEFFICIENTS, KeyMap, KeyRow, best_preset, known_expressions, presets
+from facemime.core.bake.key_names import names_of, normalised
+
+
+def words(name):
+    """The words of a coefficient: eye, Blink, Left."""
+    return re.findall(r"[A-Z]?[a-z]+", name)
+
+
+def capitalised(name):
+    return "".join(word.capitalize() for word in words(name))
+
+
+WAYS = {
+    "Maya": lambda i, name: f"BS_node.{name}",
+    "Ready Player Me": lambda i, name: f"Wolf3D_Head.{name}",
+    "MPFB": lambda i, name: f"!ex-{name}",
+    "Rocketbox": lambda i, name: f"blendShape1.AK_{i + 1:02d}_{capitalised(name)}",
+    "Character Creator 3": lambda i, name: f"A{i + 1:02d}_{'_'.join(words(capitalised(name)))}",
+    "Daz": lambda i, name: f"Genesis9__facs_bs_{capitalised(name)}_div2",
+    "a copy": lambda i, name: f"{name}.001",
+    "numbers": lambda i, name: f"{i:02d}. {name}",
+    "letters without a separator": lambda i, name: f"face{capitalised(name)}",
+    "a suffix without a separator": lambda i, name: f"{name}Shape",
+    "brackets": lambda i, name: f"{name} (ARKit)",
+    "capitals": lambda i, name: f"EXP_FACE_{'_'.join(words(name)).upper()}",
+    "sides before a suffix": lambda i, name: f"{name.replace('Left', '_L').replace('Right', '_R')}_mesh",
+    "full-width letters": lambda i, name: "".join(chr(ord(letter) + 0xFEE0) for letter in name),
+}
+
+
+@pytest.mark.parametrize("way", WAYS.values(), ids=WAYS)
+@pytest.mark.parametrize("beside", [0, 90])
+def test_the_coefficients_are_found_in_names_as_others_write_them(way, beside):
+    keys = [way(i, name) for i, name in enumerate(COEFFICIENTS)]
+    others = [f"AU_{i:02d}_Wrinkle{i}" for i in range(beside)]
+    table = best_preset(["Basis", *others, *keys])
+    assert table.short_name == "ARKit" and {row.source: row.key for row in table.rows} == dict(
+        zip(COEFFICIENTS, keys, strict=True)
+    )
+    assert known_expressions([*others, *keys]) == keys
+
+
+SETS = {
+    "Character Creator 5": (
+        "Eye_Blink_L Eye_Blink_R Jaw_Open Mouth_Corner_Pull_L Mouth_Corner_Pull_R Brow_Raise_In_L Brow_Raise_Outer_L "
+        "Mouth_Funnel_UL Mouth_Funnel_UR Mouth_Funnel_DL Mouth_Funnel_DR Nose_Wrinkle_L"
+    ),
+    "MetaHuman": (
+        "CTRL_expressions_eyeBlinkL CTRL_expressions_eyeBlinkR CTRL_expressions_jawOpen CTRL_expressions_browDownL "
+        "CTRL_expressions_mouthCornerPullL CTRL_expressions_mouthCornerPullR CTRL_expressions_mouthFunnelUL "
+        "CTRL_expressions_mouthFunnelUR CTRL_expressions_mouthFunnelDL CTRL_expressions_mouthFunnelDR "
+        "CTRL_expressions_noseWrinkleL"
+    ),
+    "Character Creator 4": (
+        "Eye_Blink_L Eye_Blink_R Jaw_Open Mouth_Smile_L Mouth_Smile_R Brow_Raise_Inner_L Brow_Raise_Inner_R "
+        "Mouth_Pucker_Up_L Mouth_Pucker_Up_R Mouth_Pucker_Down_L Mouth_Pucker_Down_R"
+    ),
+    "Daz": (
+        "facs_bs_JawOpen_div2 facs_bs_EyeBlinkLeft_div2 facs_bs_EyeBlinkRight_div2 facs_bs_MouthSmileLeft_div2 "
+        "facs_bs_MouthPurseUpperLeft_div2 facs_bs_MouthPurseLowerLeft_div2 facs_bs_BrowInnerUpLeft_div2 "
+        "facs_bs_MouthCloseUpperLeft_div2 facs_bs_MouthRollLowerRight_div2"
+    ),
+    "MikuMikuDance": (
+        "あ い う え お まばたき 笑い ウィンク ウィンク右 ウィンク２ ｳｨﾝｸ２右 びっくり 怒り 困る 上 下 にやり 口角上げ"
+    ),
+    "VRChat": "vrc.v_sil vrc.v_pp vrc.v_aa vrc.v_oh vrc.v_ou vrc.v_th vrc.blink_left vrc.blink_right",
+    "Unified Expressions": (
+        "JawOpen EyeClosedLeft EyeClosedRight BrowInnerUpLeft MouthSmileLeft LipFunnelUpperLeft LipPuckerLowerRight "
+        "CheekPuffLeft CheekPuffRight MouthRaiserUpper LipSuckLower"
+    ),
+    "Rocketbox": (
+        "AU_01_InnerBrowRaiser AU_02_L_OuterBrowRaiser AU_02_R_OuterBrowRaiser AU_02_OuterBrowRaiser AU_04_BrowLowerer "
+        "AU_12_L_LipCornerPuller AU_12_R_LipCornerPuller AU_26_JawDrop AU_45_Blink"
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_a_whole_face_is_found_in_the_keys_of_other_programs(name):
+    keys = SETS[name].split()
+    table = best_preset(keys)
+    assert {"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"} <= table.sources
+    assert (name.split()[0] in table.name or name == "Daz") and len(table.keys) >= 0.5 * len(keys)
+
+
+def test_an_eyelid_is_closed_once_where_a_mesh_has_keys_for_each_and_for_both():
+    both = ["あ", "い", "う", "まばたき"]
+    for more, wanted in (
+        ((), "まばたき"),
+        (("ウィンク", "ウィンク右"), "ウィンク"),
+        (("ウィンク2", "ウィンク2右"), "ウィンク2"),
+    ):
+        table = best_preset([*both, *more])
+        values = np.zeros((1, len(COEFFICIENTS)))
+        values[0, [COEFFICIENTS.index(f"eyeBlink{side}") for side in ("Left", "Right")]] = 1.0
+        posed = {key: of[0] for key, of in table.apply(values, dict.fromkeys([*both, *more], (0.0, 1.0))).items()}
+        closed = {key for key, value in posed.items() if value}
+        assert closed == {wanted, *([f"{wanted}右"] if more else [])} and all(posed[key] == 1.0 for key in closed)
+
+
+def test_a_name_with_a_suffix_is_not_taken_for_one_that_is_there():
+    keys = [*COEFFICIENTS, *(f"old_{name}" for name in COEFFICIENTS)]
+    assert set(best_preset(keys).keys) == set(COEFFICIENTS)
+
+
+def test_a_word_is_no_prefix_because_a_few_names_have_it():
+    names = names_of(["Hat_jawOpen", "Hat_Brim", "jawOpen"], {normalised(name) for name in COEFFICIENTS})
+    assert names["Hat_jawOpen"] == {"hatjawopen"}
+
+
+def test_no_table_takes_the_keys_of_another_for_its_own():
+    for preset in presets():
+        assert best_preset(preset.keys).name == preset.name
+
+
+def test_a_table_says_what_it_cannot_show():
+    full = presets()[0]
+    assert full.summary() == "ARKit: 52 shape keys for all 52 movements."
+    few = KeyMap("Mine", (KeyRow("jawOpen", "Open"), KeyRow("mouthFunnel", "Open"), KeyRow("mouthPucker", "Kiss")))
+    assert few.summary().startswith("Mine: 2 shape keys for 3 of 52 movements, not for browDownLeft, ")
