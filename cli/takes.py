@@ -14,9 +14,11 @@ from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
 from ..core.images import write_image
 from ..core.puppet.job import HeadFile
+from ..core.recordings.reading import SUFFIXES as RECORDINGS
+from ..core.recordings.reading import read_recording
 from ..core.settings import settings_of
 from ..core.streams.sender import turned_from
-from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, from_any_csv, write_coefficient_csv
+from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, write_coefficient_csv
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import mend
@@ -24,7 +26,6 @@ from ..core.takes.neutral import calibrate
 from ..core.takes.settings import BLEND, Mending
 from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
-from ..core.takes.table_text import SUFFIXES as TABLES
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.blender import importing_blender
@@ -144,14 +145,14 @@ def add_commands(commands: Commands) -> None:
     )
     export.set_defaults(run=lambda given: run_export(*(given[name] for name in ("take", "output", "columns", "rate"))))
 
-    read = add_command(commands, "import", "write a table or an animation as a take")
+    read = add_command(commands, "import", "write a recording of another program or an animation as a take")
     read.add_argument(
         "source",
         type=head_file,
-        metavar="TABLE.csv|ANIMATION[:OBJECT]",
+        metavar="RECORDING|ANIMATION[:OBJECT]",
         help="a table from export, possibly with fewer columns, or one of ARKit's coefficients from Live Link Face or "
-        "another program; or a file, as for bind, in which a face moves, and any mesh of the character "
-        "(the most likely face)",
+        "another program; Audio2Face's .json, Face Cap's .txt, OpenFace's .csv or Unity's .anim; or a file, as for "
+        "bind, in which a face moves, and any mesh of the character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
     read.add_argument("--clip", default="", metavar="NAME", help="the clip of an animation to sample (what plays)")
@@ -236,12 +237,12 @@ def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bo
 
 
 def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUTOMATIC) -> int:
-    """Run `facemime import`: write a table, or the motion of a face in an animation, as a take.
+    """Run `facemime import`: write a recording, or the motion of a face in an animation, as a take.
 
     Parameters
     ----------
     source : HeadFile
-        A table, or an animation and its object.
+        A recording or a table, or an animation and its object.
     output : Path
         File for the take.
     clip : str
@@ -249,13 +250,13 @@ def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUT
     angles : str
         Unit of the rotation of the head in a table.
     """
-    is_table = source.path.suffix.lower() in TABLES
-    if is_table and clip:
-        raise FacemimeError("A table has no clips. Leave out --clip.")
-    described = "the table that is imported" if is_table else "the animation that is imported"
+    is_recording = source.path.suffix.lower() in RECORDINGS
+    if is_recording and clip:
+        raise FacemimeError("A recording has no clips. Leave out --clip.")
+    described = "the recording that is imported" if is_recording else "the animation that is imported"
     with outputs_of(((output, {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        take = from_any_csv(source.path, angles) if is_table else _sampled(source, clip)
+        take = read_recording(source.path, angles) if is_recording else _sampled(source, clip)
         save_take(take, output)
     for note in take.info.get("notes", []):
         tell(f"facemime: {note}")

@@ -10,10 +10,11 @@ from bpy.props import EnumProperty, StringProperty
 from ..blender.animation.sampling import Sampling
 from ..core.errors import SourceError
 from ..core.live.sources import PacedSource
-from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, from_any_csv
+from ..core.recordings.reading import SUFFIXES as RECORDINGS
+from ..core.recordings.reading import read_recording
+from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
-from ..core.takes.table_text import SUFFIXES as TABLES
 from ..core.takes.take import Take
 from ..sessions.countdown import COUNTDOWN
 from ..sessions.live import LiveSession
@@ -156,12 +157,12 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
-    """Add a take from a file to the list, or a table of numbers as a take"""
+    """Add a take from a file to the list, or a table or another program's recording as a take"""
 
     bl_idname = "facemime.import_take"
     bl_label = "Import Take"
 
-    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in (SUFFIX, *TABLES)), options={"HIDDEN"})
+    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in (SUFFIX, *RECORDINGS)), options={"HIDDEN"})
     angles: EnumProperty(
         name="Angles",
         description="Unit of the rotation of the head in a table",
@@ -175,8 +176,8 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Read the file and add it to the list."""
         path = self.path
-        if path.suffix.lower() in TABLES:
-            take = from_any_csv(path, self.angles)
+        if path.suffix.lower() in RECORDINGS:
+            take = read_recording(path, self.angles)
             takes_store.keep(context.scene, take, path.stem)
             _report_notes(self, take)
             return

@@ -35,6 +35,7 @@ _ERRORS = {
 _READERS = (
     "core/*.py",
     "core/takes/*.py",
+    "core/recordings/*.py",
     "core/heads/facegen.py",
     "core/bake/key_map.py",
     "core/control_points/select.py",

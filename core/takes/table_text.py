@@ -69,9 +69,7 @@ def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> Text
     OSError
         If it cannot be read.
     """
-    if path.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"it is larger than {_MAX_BYTES >> 20:,} MB")
-    text = StringIO(_decoded(path.read_bytes()), newline="")
+    text = StringIO(read_decoded(path), newline="")
     above = [text.readline() for _ in range(_MOST_ABOVE)]
     separator = hint[1] if (hint := _HINT.match(above[0])) else ""
     choices = [(number, one) for number in range(_MOST_ABOVE) for one in separator or _SEPARATORS]
@@ -80,6 +78,13 @@ def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> Text
     rows = csv.reader(chain(above[number + 1 :], text), delimiter=separator)
     head = [title.strip() for title in _split(above[number], separator)]
     return TextTable(head, _lines(rows), noted[0][0] if noted else "")
+
+
+def read_decoded(path: Path) -> str:
+    """Read a text in any usual encoding; ValueError if it is too large or not text, OSError if it cannot be read."""
+    if path.stat().st_size > _MAX_BYTES:
+        raise ValueError(f"it is larger than {_MAX_BYTES >> 20:,} MB")
+    return _decoded(path.read_bytes())
 
 
 def _split(line: str, separator: str) -> list[str]:

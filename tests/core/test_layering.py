@@ -19,6 +19,7 @@ FLOORS = (
     "core/drive",
     "core/control_points",
     "core/bake",
+    "core/recordings",
     "core/puppet",
     "core/live",
     "core/streams",

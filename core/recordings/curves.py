@@ -1,0 +1,110 @@
+"""Values of shape keys over time, of any known set, as takes: what programs other than trackers write."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import FloatArray
+from ..bake.key_map import best_preset
+from ..coefficient_names import N_COEFFICIENTS
+from ..takes.from_animation import IMAGE_SIZE
+from ..takes.from_coefficients import coefficient_face
+from ..takes.take import Take, TakeRecorder, describe
+from ..tracking.result import TrackResult
+
+_RATE = 30.0
+"""Rate in Hz of a take with a single frame."""
+
+
+@dataclass(frozen=True)
+class CoefficientTrack:
+    """A performance as coefficients.
+
+    Attributes
+    ----------
+    times : (N,) float64
+        Seconds, increasing.
+    values : (N, 52) float64
+        Coefficients in the order of `COEFFICIENTS`.
+    rotations : (N, 3) float64 or None
+        Pitch, yaw and roll of the head in radians, as in `TrackResult`.
+    positions : (N, 3) float64 or None
+        Translations of the head: head frame, metres.
+    found : (N,) bool or None
+        Which frames have a face; all by default.
+    notes : list of str
+        What was assumed.
+    """
+
+    times: FloatArray
+    values: FloatArray
+    rotations: FloatArray | None = None
+    positions: FloatArray | None = None
+    found: NDArray[np.bool_] | None = None
+    notes: list[str] = field(default_factory=list)
+
+
+def coefficients_of_keys(curves: Mapping[str, FloatArray]) -> tuple[FloatArray, list[str]]:
+    """Return the coefficients that the values of shape keys show.
+
+    Parameters
+    ----------
+    curves : mapping of str to (N,) array
+        Values by the name of the key.
+
+    Returns
+    -------
+    values : (N, 52) float64
+    notes : list of str
+        The set that was recognised, and what it lacks.
+
+    Raises
+    ------
+    ValueError
+        If the names are not of a known set.
+    """
+    table = best_preset(list(curves))
+    if table is None:
+        raise ValueError(f"none of its {len(curves)} curves has the name of a known expression")
+    length = len(next(iter(curves.values())))
+    values = table.invert(curves, np.zeros((length, N_COEFFICIENTS)))
+    return values, [table.summary()]
+
+
+def recorded(performance: CoefficientTrack, name: str) -> Take:
+    """Return a performance as a take.
+
+    Parameters
+    ----------
+    performance : CoefficientTrack
+    name : str
+        Of the file that it comes from.
+
+    Raises
+    ------
+    ValueError
+        If the times do not increase, or there is no frame.
+    """
+    times = performance.times - performance.times[:1]
+    if not len(times):
+        raise ValueError("it has no frames")
+    if (np.diff(times) <= 0.0).any():
+        raise ValueError("its times do not increase")
+    rate, face = (1.0 / float(np.median(np.diff(times))) if len(times) > 1 else _RATE), coefficient_face()
+    recorder = TakeRecorder(
+        describe(name, min(max(rate, 1e-3), 1e5), IMAGE_SIZE, "coefficients")
+        | {"measured": True, "calibration": face.neutral.to_dict()}
+    )
+    still = np.zeros((len(times), 3))
+    rotations = still if performance.rotations is None else performance.rotations
+    positions = still if performance.positions is None else performance.positions
+    found = np.ones(len(times), dtype=bool) if performance.found is None else performance.found
+    for row, time in enumerate(times.tolist()):
+        result = face.result(performance.values[row], rotations[row], positions[row])
+        recorder.append(time, result if found[row] else TrackResult.nothing(len(result.shape_params)))
+    take = recorder.finish()
+    return replace(take, info=take.info | ({"notes": performance.notes} if performance.notes else {}))

@@ -1,0 +1,198 @@
+"""Recordings of other programs come in as takes: Audio2Face, Face Cap, OpenFace and Unity."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.errors import SourceError
+from facemime.core.recordings.reading import read_recording
+from facemime.core.rotation import euler_to_matrix
+
+OPEN = np.array([0.0, 0.25, 1.0, 0.5])
+"""How far the jaw is open in each frame of a recording."""
+_NAMES = (
+    "browInnerUp browDown_L browDown_R browOuterUp_L browOuterUp_R eyeLookUp_L eyeLookUp_R eyeLookDown_L eyeLookDown_R "
+    "eyeLookIn_L eyeLookIn_R eyeLookOut_L eyeLookOut_R eyeBlink_L eyeBlink_R eyeSquint_L eyeSquint_R eyeWide_L "
+    "eyeWide_R cheekPuff cheekSquint_L cheekSquint_R noseSneer_L noseSneer_R jawOpen jawForward jawLeft jawRight "
+    "mouthFunnel mouthPucker mouthLeft mouthRight mouthRollUpper mouthRollLower mouthShrugUpper mouthShrugLower "
+    "mouthClose mouthSmile_L mouthSmile_R mouthFrown_L mouthFrown_R mouthDimple_L mouthDimple_R mouthUpperUp_L "
+    "mouthUpperUp_R mouthLowerDown_L mouthLowerDown_R mouthPress_L mouthPress_R mouthStretch_L mouthStretch_R tongueOut"
+)
+FACE_CAP_NAMES = _NAMES.split()
+
+
+def column(take, name):
+    return take.coefficients[:, COEFFICIENT_INDEX[name]]
+
+
+def audio2face(names, rows, **more):
+    return json.dumps({"numPoses": len(names), "numFrames": len(rows), "facsNames": names, "weightMat": rows} | more)
+
+
+@pytest.fixture
+def file(tmp_path):
+    """A function that writes a text to a file of that name, and returns its path."""
+
+    def write(name, text):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+        return tmp_path / name
+
+    return write
+
+
+def test_audio2face_s_json_is_read_at_its_rate(file):
+    rows = [[float(amount) if name == "jawOpen" else 0.0 for name in COEFFICIENTS] for amount in OPEN]
+    take = read_recording(file("a.json", audio2face(list(COEFFICIENTS), rows, exportFps=25.0)))
+    np.testing.assert_allclose(take.times, np.arange(4) / 25.0)
+    np.testing.assert_allclose(column(take, "jawOpen"), OPEN, atol=1e-6)
+    assert len(read_recording(file("b.json", audio2face(list(COEFFICIENTS), rows)))) == 4
+
+
+def test_audio2face_s_own_names_are_read_as_the_coefficients_they_show(file):
+    names = [
+        "browLowerL",
+        "browLowerR",
+        "innerBrowRaiserL",
+        "cheekRaiserL",
+        "jawDrop",
+        "lipCornerPullerL",
+        "eyesClosedL",
+    ]
+    rows = [[0.0, 0.0, 0.0, 0.0, float(amount), 0.5, 0.0] for amount in OPEN]
+    take = read_recording(file("a.json", audio2face(names, rows)))
+    np.testing.assert_allclose(column(take, "jawOpen"), OPEN, atol=1e-6)
+    np.testing.assert_allclose(column(take, "mouthSmileLeft"), 0.5, atol=1e-6)
+    assert any("movements" in note for note in take.info["notes"])
+
+
+def face_cap(frames):
+    lines = ["info,Face Cap,1.6,mm", "bs," + ",".join(FACE_CAP_NAMES)]
+    for milliseconds, turn, values in frames:
+        cells = [milliseconds, 0.01, 0.02, -0.4, *turn, 1.0, 2.0, 1.0, 2.0]
+        lines.append(",".join(["k", *map(str, cells), *(str(values.get(name, 0)) for name in FACE_CAP_NAMES)]))
+    return "\n".join(lines) + "\n"
+
+
+def test_face_cap_s_text_is_read_with_its_own_times_and_the_turn_of_the_head(file):
+    frames = [(i * 16 + i % 2, (0, 0, 0), {"jawOpen": amount, "eyeBlink_L": 1}) for i, amount in enumerate(OPEN)]
+    frames.append((90, (0, 20, 0), {}))
+    take = read_recording(file("anna.txt", face_cap(frames)))
+    np.testing.assert_allclose(take.times, [0.0, 0.017, 0.032, 0.049, 0.09])
+    np.testing.assert_allclose(column(take, "jawOpen")[:4], OPEN, atol=1e-6)
+    np.testing.assert_allclose(column(take, "eyeBlinkLeft")[:4], 1.0)
+    assert (
+        abs(np.degrees(take.result(len(take) - 1).pose[2]) + 20.0) < 1e-3
+    )  # about the axis upwards, to the viewer's right
+
+
+UNITS = ["AU01", "AU02", "AU04", "AU05", "AU06", "AU07", "AU09", "AU10", "AU12", "AU14", "AU15", "AU17", "AU20"]
+UNITS += ["AU23", "AU25", "AU26", "AU45"]
+
+
+def openface(rows):
+    head = ["frame", "face_id", "timestamp", "confidence", "success", "gaze_angle_x", "gaze_angle_y"]
+    head += ["pose_Rx", "pose_Ry", "pose_Rz", *(f"{unit}_r" for unit in UNITS), *(f"{unit}_c" for unit in UNITS)]
+    lines = [", ".join(head)]
+    for i, row in enumerate(rows):
+        values = {"frame": i + 1, "timestamp": i * 0.04, "success": 1, "confidence": 0.98} | row
+        lines.append(", ".join(f"{values.get(name, 0):g}" for name in head))
+    return "\n".join(lines) + "\n"
+
+
+def test_openface_s_action_units_are_read_for_both_sides(file):
+    rows = [{"AU26_r": 5.0 * amount, "AU12_r": 2.5, "success": float(i != 2)} for i, amount in enumerate(OPEN)]
+    take = read_recording(file("face.csv", openface(rows)))
+    assert list(take.found) == [True, True, False, True]
+    np.testing.assert_allclose(take.times, np.arange(4) * 0.04)
+    np.testing.assert_allclose(column(take, "jawOpen")[take.found], OPEN[take.found], atol=1e-6)
+    for side in ("Left", "Right"):
+        np.testing.assert_allclose(column(take, f"mouthSmile{side}")[take.found], 0.5, atol=1e-6)
+
+
+def test_a_head_that_turns_while_its_eyes_stay_on_the_camera_looks_the_other_way(file):
+    turned = np.radians(20.0)
+    rows = [{}, {"pose_Ry": turned}, {"pose_Rx": turned}, {"gaze_angle_x": 0.2}, {"gaze_angle_y": 0.2}]
+    take = read_recording(file("face.csv", openface(rows)))
+    poses = [euler_to_matrix(*pose[1:4]) for pose in (take.result(i).pose for i in range(len(take)))]
+    assert (poses[1] @ (0.0, 0.0, -1.0))[0] < -0.3 and (poses[2] @ (0.0, 0.0, -1.0))[1] > 0.3
+    # Own left is the viewer's right, where a head that turned to the viewer's left has its eyes.
+    assert column(take, "eyeLookOutLeft")[1] > 0.3 and column(take, "eyeLookInRight")[1] > 0.3
+    assert column(take, "eyeLookUpLeft")[2] > 0.3
+    assert column(take, "eyeLookOutLeft")[3] > 0.1 and column(take, "eyeLookDownRight")[4] > 0.1
+    assert np.abs([column(take, f"eyeLook{way}Left")[0] for way in ("In", "Out", "Up", "Down")]).max() < 1e-6
+
+
+def test_only_the_first_of_openface_s_faces_is_read(file):
+    rows = [{"face_id": i % 2, "timestamp": i // 2 * 0.04, "AU26_r": 5.0 * (i % 2)} for i in range(8)]
+    take = read_recording(file("faces.csv", openface(rows)))
+    assert len(take) == 4 and not column(take, "jawOpen").any()
+
+
+def unity(curves, rate=30):
+    lines = ["%YAML 1.1", "%TAG !u! tag:unity3d.com,2011:", "--- !u!74 &7400000", "AnimationClip:", "  m_Name: Talk"]
+    lines += ["  serializedVersion: 7", "  m_PositionCurves: []", "  m_FloatCurves:"]
+    for path, name, keys in curves:
+        lines += ["  - serializedVersion: 2", "    curve:", "      serializedVersion: 2", "      m_Curve:"]
+        for time, value, before, after in keys:
+            lines += ["      - serializedVersion: 3", f"        time: {time}", f"        value: {value}"]
+            lines += [f"        inSlope: {before}", f"        outSlope: {after}", "        tangentMode: 136"]
+            lines += ["        weightedMode: 0", "        inWeight: 0.33333334", "        outWeight: 0.33333334"]
+        lines += ["      m_PreInfinity: 2", "      m_PostInfinity: 2", "      m_RotationOrder: 4"]
+        lines += [
+            f"    attribute: {name}",
+            f"    path: {path}",
+            "    classID: 137",
+            "    script: {fileID: 0}",
+            "    flags: 16",
+        ]
+    return "\n".join([*lines, "  m_PPtrCurves: []", f"  m_SampleRate: {rate}", "  m_WrapMode: 0", ""])
+
+
+def test_unity_s_clip_is_sampled_as_unity_plays_it(file):
+    straight, jump = (0, 0, 0, 100), (1, 100, 100, 0)
+    curves = [
+        ("Body", "blendShape.jawOpen", [straight, jump]),
+        ("Body", "blendShape.eyeBlinkLeft", [(0, 0, 0, "Infinity"), (0.5, 100, "Infinity", "Infinity"), (1, 0, 0, 0)]),
+        ("Body", "blendShape.mouthSmileLeft", [(0, 0, 0, 0), (1, 100, 0, 0)]),
+        ("Teeth", "blendShape.jawOpen", [(0, 100, 0, 0)]),
+        ("Body", "m_IsActive", [(0, 1, 0, 0)]),
+    ]
+    take = read_recording(file("Talk.anim", unity(curves)))
+    time = np.arange(31) / 30.0
+    np.testing.assert_allclose(take.times, time, atol=1e-9)
+    np.testing.assert_allclose(column(take, "jawOpen"), time, atol=1e-6)
+    np.testing.assert_allclose(column(take, "eyeBlinkLeft"), [*[0.0] * 15, *[1.0] * 15, 0.0], atol=1e-6)
+    np.testing.assert_allclose(column(take, "mouthSmileLeft"), 3 * time**2 - 2 * time**3, atol=1e-6)
+
+
+def test_unity_s_clip_of_another_set_is_read_as_the_coefficients_it_shows(file):
+    names = ["vrc.v_aa", "vrc.v_oh", "vrc.v_ou", "vrc.blink_left", "vrc.blink_right"]
+    curves = [("Body", f"blendShape.{name}", [(0, 0, 0, 100), (1, 100, 100, 0)]) for name in names]
+    take = read_recording(file("Talk.anim", unity(curves)))
+    for name in ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight"):
+        np.testing.assert_allclose(column(take, name)[-1], 1.0, atol=1e-3)
+
+
+BROKEN = {
+    "a.json": ["", "[]", "{}", '{"facsNames": ["jawOpen"], "weightMat": []}', audio2face(["jawOpen"], [[1.0], []])],
+    "b.json": [audio2face(["Fat", "Thin", "Old"], [[1.0, 0.0, 0.0]]), '{"facsNames": 3, "weightMat": 4}'],
+    "c.txt": [face_cap([]), face_cap([(0, (0, 0, 0), {})] * 2), face_cap([(0, (0, 0, 0), {})])[:-9] + "x"],
+    "d.csv": [openface([]), openface([{}]).replace("0.98", "x"), openface([{}]).replace("timestamp", "Zeit")],
+    "e.anim": ["", "%YAML 1.1\nAnimationClip:\n", unity([]), unity([("B", "blendShape.Fat", [(0, 1, 0, 0)])])],
+    "f.anim": [unity([("B", "blendShape.jawOpen", [(0, 1, 0, 0), (9e9, 1, 0, 0)])])],
+}
+
+
+@pytest.mark.parametrize(("name", "text"), [(name, text) for name, texts in BROKEN.items() for text in texts])
+def test_a_damaged_recording_is_refused_with_its_reason(name, text, file):
+    with pytest.raises(SourceError, match=name):
+        read_recording(file(name, text))
+
+
+def test_a_missing_recording_is_named(tmp_path):
+    with pytest.raises(SourceError, match="no file"):
+        read_recording(tmp_path / "none.json")
