@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
+from recordings import audio2face, face_cap, openface, unity
 
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.errors import SourceError
@@ -14,23 +13,10 @@ from facemime.core.rotation import euler_to_matrix
 
 OPEN = np.array([0.0, 0.25, 1.0, 0.5])
 """How far the jaw is open in each frame of a recording."""
-_NAMES = (
-    "browInnerUp browDown_L browDown_R browOuterUp_L browOuterUp_R eyeLookUp_L eyeLookUp_R eyeLookDown_L eyeLookDown_R "
-    "eyeLookIn_L eyeLookIn_R eyeLookOut_L eyeLookOut_R eyeBlink_L eyeBlink_R eyeSquint_L eyeSquint_R eyeWide_L "
-    "eyeWide_R cheekPuff cheekSquint_L cheekSquint_R noseSneer_L noseSneer_R jawOpen jawForward jawLeft jawRight "
-    "mouthFunnel mouthPucker mouthLeft mouthRight mouthRollUpper mouthRollLower mouthShrugUpper mouthShrugLower "
-    "mouthClose mouthSmile_L mouthSmile_R mouthFrown_L mouthFrown_R mouthDimple_L mouthDimple_R mouthUpperUp_L "
-    "mouthUpperUp_R mouthLowerDown_L mouthLowerDown_R mouthPress_L mouthPress_R mouthStretch_L mouthStretch_R tongueOut"
-)
-FACE_CAP_NAMES = _NAMES.split()
 
 
 def column(take, name):
     return take.coefficients[:, COEFFICIENT_INDEX[name]]
-
-
-def audio2face(names, rows, **more):
-    return json.dumps({"numPoses": len(names), "numFrames": len(rows), "facsNames": names, "weightMat": rows} | more)
 
 
 @pytest.fixture
@@ -69,14 +55,6 @@ def test_audio2face_s_own_names_are_read_as_the_coefficients_they_show(file):
     assert any("movements" in note for note in take.info["notes"])
 
 
-def face_cap(frames):
-    lines = ["info,Face Cap,1.6,mm", "bs," + ",".join(FACE_CAP_NAMES)]
-    for milliseconds, turn, values in frames:
-        cells = [milliseconds, 0.01, 0.02, -0.4, *turn, 1.0, 2.0, 1.0, 2.0]
-        lines.append(",".join(["k", *map(str, cells), *(str(values.get(name, 0)) for name in FACE_CAP_NAMES)]))
-    return "\n".join(lines) + "\n"
-
-
 def test_face_cap_s_text_is_read_with_its_own_times_and_the_turn_of_the_head(file):
     frames = [(i * 16 + i % 2, (0, 0, 0), {"jawOpen": amount, "eyeBlink_L": 1}) for i, amount in enumerate(OPEN)]
     frames.append((90, (0, 20, 0), {}))
@@ -87,20 +65,6 @@ def test_face_cap_s_text_is_read_with_its_own_times_and_the_turn_of_the_head(fil
     assert (
         abs(np.degrees(take.result(len(take) - 1).pose[2]) + 20.0) < 1e-3
     )  # about the axis upwards, to the viewer's right
-
-
-UNITS = ["AU01", "AU02", "AU04", "AU05", "AU06", "AU07", "AU09", "AU10", "AU12", "AU14", "AU15", "AU17", "AU20"]
-UNITS += ["AU23", "AU25", "AU26", "AU45"]
-
-
-def openface(rows):
-    head = ["frame", "face_id", "timestamp", "confidence", "success", "gaze_angle_x", "gaze_angle_y"]
-    head += ["pose_Rx", "pose_Ry", "pose_Rz", *(f"{unit}_r" for unit in UNITS), *(f"{unit}_c" for unit in UNITS)]
-    lines = [", ".join(head)]
-    for i, row in enumerate(rows):
-        values = {"frame": i + 1, "timestamp": i * 0.04, "success": 1, "confidence": 0.98} | row
-        lines.append(", ".join(f"{values.get(name, 0):g}" for name in head))
-    return "\n".join(lines) + "\n"
 
 
 def test_openface_s_action_units_are_read_for_both_sides(file):
@@ -130,26 +94,6 @@ def test_only_the_first_of_openface_s_faces_is_read(file):
     rows = [{"face_id": i % 2, "timestamp": i // 2 * 0.04, "AU26_r": 5.0 * (i % 2)} for i in range(8)]
     take = read_recording(file("faces.csv", openface(rows)))
     assert len(take) == 4 and not column(take, "jawOpen").any()
-
-
-def unity(curves, rate=30):
-    lines = ["%YAML 1.1", "%TAG !u! tag:unity3d.com,2011:", "--- !u!74 &7400000", "AnimationClip:", "  m_Name: Talk"]
-    lines += ["  serializedVersion: 7", "  m_PositionCurves: []", "  m_FloatCurves:"]
-    for path, name, keys in curves:
-        lines += ["  - serializedVersion: 2", "    curve:", "      serializedVersion: 2", "      m_Curve:"]
-        for time, value, before, after in keys:
-            lines += ["      - serializedVersion: 3", f"        time: {time}", f"        value: {value}"]
-            lines += [f"        inSlope: {before}", f"        outSlope: {after}", "        tangentMode: 136"]
-            lines += ["        weightedMode: 0", "        inWeight: 0.33333334", "        outWeight: 0.33333334"]
-        lines += ["      m_PreInfinity: 2", "      m_PostInfinity: 2", "      m_RotationOrder: 4"]
-        lines += [
-            f"    attribute: {name}",
-            f"    path: {path}",
-            "    classID: 137",
-            "    script: {fileID: 0}",
-            "    flags: 16",
-        ]
-    return "\n".join([*lines, "  m_PPtrCurves: []", f"  m_SampleRate: {rate}", "  m_WrapMode: 0", ""])
 
 
 def test_unity_s_clip_is_sampled_as_unity_plays_it(file):

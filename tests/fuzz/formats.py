@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import base64
 import contextlib
-import csv
 import hashlib
 import io
 import json
 import tempfile
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
@@ -29,10 +27,8 @@ from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
 from facemime.core.deform.follow import follow_matrix
-from facemime.core.drive.anonymous import anonymise
-from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
-from facemime.core.errors import FacemimeError, HeadError, SourceError
+from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas
@@ -41,21 +37,14 @@ from facemime.core.images import read_image
 from facemime.core.mesh.kernels import get_kernel
 from facemime.core.reading import parse_json
 from facemime.core.settings import Choice, Setting
-from facemime.core.takes.coefficient_table import from_coefficient_csv, write_coefficient_csv
-from facemime.core.takes.file import load_take, save_take
-from facemime.core.takes.format import HEADER, MARKER, chunk_bytes, chunks_in
-from facemime.core.takes.mending import bridge_gaps, mirror_take, remove_outliers
 from facemime.core.takes.neutral import Neutral, calibrate
-from facemime.core.takes.smooth import smooth_zero_phase
-from facemime.core.takes.spreadsheet import from_csv, to_csv
-from facemime.core.takes.take import Take, check_take
-from facemime.core.takes.timing import resample, restart, trim
 from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
-from takes import coefficient_take, performance
+from takes import performance
 
 from .mutators import Arrays, archive_bytes, mutated_archive, mutated_bytes, mutated_json, npy_bytes
+from .recordings import TAKES
 from .streams import INTACT, mutated_packet, packets, reader
 
 SAMPLE = Path(HEAD_FILE).parents[1] / "sample" / "sample.mp4"
@@ -284,104 +273,6 @@ def _mesh() -> FaceGenMesh:
         return read_tri(Path(file.name))
 
 
-@cache
-def _take_bytes() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        save_take(performance(), Path(folder) / "take.facetake")
-        return (Path(folder) / "take.facetake").read_bytes()
-
-
-def _mutated_take(rng: Random) -> bytes:
-    if rng.random() < 0.3:
-        return mutated_bytes(rng, _take_bytes())
-    out = b""
-    chunks = list(chunks_in(_take_bytes()))
-    changed = rng.randrange(len(chunks))
-    for number, chunk in enumerate(chunks):
-        content, count, first = chunk.content, chunk.count, chunk.first
-        if number == changed:
-            if chunk.kind != b"F":
-                content = mutated_json(rng, json.loads(content))
-            elif rng.random() < 0.7:
-                times, table = content[: 8 * count], zlib.decompress(content[8 * count :])
-                table = bytes(50_000_000) if rng.random() < 0.02 else mutated_bytes(rng, table)
-                content = (mutated_bytes(rng, times) if rng.random() < 0.3 else times) + zlib.compress(table)
-            else:
-                content, count = mutated_bytes(rng, content), rng.choice((count, 0, 1, 256, 65535))
-                first = rng.choice((first, 0, 10**6, 2**32 - 1))
-        out += chunk_bytes(chunk.kind, content, count=count, first=first)
-    if rng.random() < 0.05:
-        out += rng.choice((MARKER, out[: HEADER.size])) * 10_000
-    return out
-
-
-def _read_take(path: Path) -> None:
-    _use(load_take(path))
-
-
-_USES: tuple[Callable[[Take], Any], ...] = (
-    lambda take: HeadDriver(built_in_rig(), calibrate(take)).frame(take.result(int(take.found.argmax()))),
-    mirror_take,
-    lambda take: remove_outliers(bridge_gaps(take)),
-    smooth_zero_phase,
-    lambda take: resample(take, 30.0),
-    restart,
-    anonymise,
-    lambda take: trim(take, 0.2, 1.0),
-)
-
-
-def _use(take: Take) -> None:
-    """Use a take in one of several ways; errors have to be FacemimeErrors."""
-    check_take(take)
-    with contextlib.suppress(FacemimeError):
-        _USES[zlib.crc32(take.times.tobytes() + take.shape.tobytes()) % len(_USES)](take)
-
-
-@cache
-def _csv_bytes() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        to_csv(performance(8), Path(folder) / "take.csv")
-        return (Path(folder) / "take.csv").read_bytes()
-
-
-def _mutated_csv(rng: Random) -> bytes:
-    if rng.random() < 0.4:
-        return mutated_bytes(rng, _csv_bytes())
-    rows = list(csv.reader(io.StringIO(_csv_bytes().decode())))
-    for _ in range(rng.randint(1, 3)):
-        row = rng.choice(rows)
-        if row:
-            cells = ("", "nan", "inf", "-1e400", "1" * 500, "0x1", "-1", "word", '"', "time", "pitch")
-            row[rng.randrange(len(row))] = rng.choice(cells)
-        if rng.random() < 0.2:
-            rng.shuffle(rows)
-    stream = io.StringIO()
-    csv.writer(stream).writerows(rows)
-    return stream.getvalue().encode()
-
-
-def _read_csv(path: Path) -> None:
-    _use(from_csv(path))
-
-
-@cache
-def _coefficient_csv_bytes() -> bytes:
-    take = coefficient_take(8)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "take.csv"
-        write_coefficient_csv(path, take.times, take.coefficients, take.pose[:, 1:4], live_link=True)
-        return path.read_bytes()
-
-
-def _mutated_coefficient_csv(rng: Random) -> bytes:
-    return mutated_bytes(rng, _coefficient_csv_bytes())
-
-
-def _read_coefficient_csv(path: Path) -> None:
-    _use(from_coefficient_csv(path))
-
-
 def _packet(name: str) -> bytes:
     return packets(name)[0]
 
@@ -447,9 +338,7 @@ FORMATS: dict[str, Format] = {
         ".egm", egm, lambda rng: mutated_bytes(rng, egm()), lambda path: _read_facegen(_mesh(), read_egm(path, _mesh()))
     ),
     "facegen obj": Format(".obj", OBJ.encode, _mutated_obj, lambda path: _read_facegen(read_obj(path))),
-    "take": Format(".facetake", _take_bytes, _mutated_take, _read_take),
-    "take csv": Format(".csv", _csv_bytes, _mutated_csv, _read_csv),
-    "coefficient csv": Format(".csv", _coefficient_csv_bytes, _mutated_coefficient_csv, _read_coefficient_csv),
+    **{name: Format(*of) for name, of in TAKES.items()},
     **{
         f"stream {name}": Format(".packet", partial(_packet, name), partial(mutated_packet, name), reader(name))
         for name in INTACT
