@@ -10,9 +10,10 @@ from bpy.props import EnumProperty, StringProperty
 from ..blender.animation.sampling import Sampling
 from ..core.errors import SourceError
 from ..core.live.sources import PacedSource
-from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, from_any_csv
+from ..core.takes.coefficient_table import from_any_csv
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
+from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.table_text import SUFFIXES as TABLES
 from ..core.takes.take import Take
 from ..sessions.countdown import COUNTDOWN

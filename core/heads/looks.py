@@ -57,8 +57,17 @@ def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
     angles = np.zeros((2, 2))
     for value, (side, axis, reach) in zip(looks.tolist(), _reaches(), strict=True):
         angles[side, axis] += value * reach
-    right, left = (np.array([atan2(tan(down) * cos(across), 1.0), -across]) for across, down in angles.tolist())
-    return 0.5 * (right + left), float(left[1] - right[1])
+    return gaze_of_eyes(np.array([[atan2(tan(down) * cos(across), 1.0), -across] for across, down in angles.tolist()]))
+
+
+def gaze_of_eyes(eyes: FloatArray) -> tuple[FloatArray, float]:
+    """Return gaze and vergence, as from `gaze_of`, of the `(pitch, yaw)` of the right and left eye, (2, 2)."""
+    return eyes.mean(axis=0), float(eyes[1, 1] - eyes[0, 1])
+
+
+def eyes_of_gaze(gaze: FloatArray, vergence: float) -> FloatArray:
+    """Return the `(pitch, yaw)` of the right and left eye, (2, 2), that have this gaze and vergence in radians."""
+    return gaze + np.array([[0.0, -0.5], [0.0, 0.5]]) * vergence
 
 
 @lru_cache(maxsize=1)

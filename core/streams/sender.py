@@ -14,6 +14,7 @@ from ..arrays import FloatArray
 from ..bake.arkit import FrameCoefficients
 from ..drive.settings import DriveSettings
 from ..errors import SourceError
+from ..heads.looks import eyes_of_gaze
 from ..rotation import euler_to_matrix, matrix_to_euler
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
@@ -116,7 +117,8 @@ class FaceMeasure:
             self._coefficients = FrameCoefficients(neutral, options)
         seen = self.mirrored(result, options)
         own = neutral.mirrored() if options.mirror else neutral
-        return FaceValues(self._coefficients.of(result), turned_from(seen, own), moved_from(seen, own))
+        eyes = eyes_from(seen, own)
+        return FaceValues(self._coefficients.of(result), turned_from(seen, own), moved_from(seen, own), eyes)
 
 
 class StreamSender:
@@ -236,6 +238,29 @@ def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
         Pitch, yaw and roll in radians.
     """
     return np.array(matrix_to_euler(euler_to_matrix(*result.pose[1:4]) @ neutral.rotation.T))
+
+
+def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
+    """Compute the directions of the eyes relative to those of a neutral face.
+
+    Parameters
+    ----------
+    result : TrackResult
+        Result with a face.
+    neutral : Neutral
+        The neutral face.
+
+    Returns
+    -------
+    (2, 2) float64 or None
+        `(pitch, yaw)` of the right and the left eye in radians; None if the gaze is unknown.
+    """
+    gaze = result.gaze - neutral.gaze
+    return (
+        eyes_of_gaze(gaze, float(np.nan_to_num(result.vergence - neutral.vergence)))
+        if np.isfinite(gaze).all()
+        else None
+    )
 
 
 def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:

@@ -282,7 +282,7 @@ class StreamSource(LiveSource):
         if values.position is not None:
             face.origin = values.position if face.origin is None else face.origin
             moved = values.position - face.origin
-        return coefficient_face().result(values.coefficients, values.rotation * self._signs, moved)
+        return coefficient_face().result(values.coefficients, values.rotation * self._signs, moved, values.eyes)
 
     def _faces(self) -> Iterator[tuple[FaceName, _Face]]:
         for address, sender in tuple(self._senders.items()):
