@@ -4,8 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.streams.addresses import LOOPBACK
-from ..core.streams.sender import SendSettings
-from ..core.streams.settings import StreamSettings
+from ..core.streams.settings import SendSettings, StreamSettings
 from ..core.viewer.settings import PORT
 from .rna import with_settings
 
@@ -75,6 +74,7 @@ class FacemimeHead(bpy.types.PropertyGroup):
     )
 
 
+@with_settings(SendSettings)
 class FacemimeOutput(bpy.types.PropertyGroup):
     """Where the performance is sent while a puppet is running."""
 

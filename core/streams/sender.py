@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -21,11 +19,11 @@ from ..takes.neutral import Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
-from .addresses import LOOPBACK, cannot_send, is_loopback, resolve
-from .frames import FaceValues, PacketError
+from .addresses import cannot_send, resolve
+from .frames import MAX_DATAGRAM, FaceValues, PacketError
 from .security import read_key
 from .sessions import OwnSender
-from .settings import OWN
+from .settings import EXPRESSIONS, OWN, SendSettings
 
 SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
 """Protocols that can be sent, and their labels."""
@@ -34,38 +32,10 @@ VTUBE_STUDIO = "vtubestudio"
 _PORTS = {OWN: datagram.PORT, "vmc": vmc.PORT, "livelink": live_link.PORT, "openseeface": openseeface.PORT}
 _HELLO_EVERY = (0.25, 1.0)
 """Seconds between handshakes, before and after the receiver has answered."""
+_MAX_ANSWERS = 64
+"""Most answers that are read before a frame is sent."""
 _DEFAULTS = DriveSettings()
 _DEVICE = "00000000-0000-4000-8000-666163656d65"
-
-
-@dataclass(frozen=True)
-class SendSettings:
-    """Destination of a stream.
-
-    Attributes
-    ----------
-    protocol : str
-        One of `SENT`.
-    host : str
-        Name or address of the receiver.
-    port : int
-        Port; 0 for the usual one.
-    key : Path or None
-        File with the shared key of Facemime's own protocol.
-    subject : str
-        Name under which Live Link Face shows the face.
-    """
-
-    protocol: str = OWN
-    host: str = LOOPBACK
-    port: int = 0
-    key: Path | None = None
-    subject: str = "Facemime"
-
-    @property
-    def is_local(self) -> bool:
-        """Whether nothing leaves this computer."""
-        return is_loopback(self.host)
 
 
 class FaceMeasure:
@@ -150,6 +120,10 @@ class StreamSender:
     def __init__(self, settings: SendSettings, options: DriveSettings = _DEFAULTS) -> None:
         if settings.protocol not in SENT:
             raise SourceError(f"There is no protocol {settings.protocol!r} to send. Use one of {', '.join(SENT)}.")
+        if settings.expressions not in EXPRESSIONS:
+            raise SourceError(
+                f"There are no expressions {settings.expressions!r}. Use one of {', '.join(EXPRESSIONS)}."
+            )
         if settings.protocol == OWN and settings.key is None and not settings.is_local:
             raise SourceError("A stream to another computer needs a shared key. Choose the file with the key.")
         self.settings, self.options = settings, options
@@ -160,6 +134,7 @@ class StreamSender:
         self._socket.setblocking(False)
         self._greeted = -np.inf
         self._face = FaceMeasure()
+        self._arkit = settings.expressions == "arkit"
 
     def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
         """Send a frame.
@@ -207,8 +182,17 @@ class StreamSender:
         if face is None and (result.found or neutral is None):
             return []
         if protocol == "vmc":
-            return list(vmc.encode(face, time))
+            return list(vmc.encode(face, time, self._expressions()))
         return [live_link.encode(face, time, subject=self.settings.subject, device=_DEVICE)]
+
+    def _expressions(self) -> vmc.Names:
+        """Return the names of the expressions to send: if they are not chosen, those that the receiver answers with."""
+        if self.settings.expressions == "automatic" and not self._arkit:
+            with suppress(BlockingIOError):
+                for _ in range(_MAX_ANSWERS):
+                    data, address = self._socket.recvfrom(MAX_DATAGRAM)
+                    self._arkit = self._arkit or (address[0] == self._address[0] and vmc.has_arkit_names(data))
+        return "arkit" if self._arkit else "vrm"
 
     def _greet(self) -> None:
         """Keep up the handshake, if there is a key."""

@@ -1,4 +1,4 @@
-"""Settings of received streams: protocol, source and playout."""
+"""Settings of streams: protocol, source and playout of received ones, and where they are sent."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SourceError
-from ..settings import Choice, setting
+from ..settings import Choice, setting, settings_of
 from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vertices, vmc, vtube_studio
 from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
@@ -170,6 +170,56 @@ class StreamSettings:
     def secret(self) -> bytes | None:
         """Read the shared key, if there is one; SourceError if it cannot be read."""
         return None if self.key is None or self.pairing is not None else read_key(self.key)
+
+
+@dataclass(frozen=True)
+class SendSettings:
+    """Destination of a stream.
+
+    Attributes
+    ----------
+    protocol : str
+        One of `sender.SENT`.
+    host : str
+        Name or address of the receiver.
+    port : int
+        Port; 0 for the usual one.
+    key : Path or None
+        File with the shared key of Facemime's own protocol.
+    subject : str
+        Name under which Live Link Face shows the face.
+    expressions : {"automatic", "arkit", "vrm"}
+        Names of the expressions that VMC sends.
+    """
+
+    protocol: str = OWN
+    host: str = LOOPBACK
+    port: int = 0
+    key: Path | None = None
+    subject: str = "Facemime"
+    expressions: str = setting(
+        "automatic",
+        "Expressions",
+        "Names of the expressions that move; the others are sent as 0, so that no avatar moves twice as far",
+        choices=(
+            Choice(
+                "automatic",
+                "Automatic",
+                "ARKit's names if the receiver answers that its avatar has them, and otherwise VRM's",
+            ),
+            Choice("arkit", "ARKit Names", "For avatars made for perfect sync, and programs that know ARKit's names"),
+            Choice("vrm", "VRM Expressions", "For all other VRM avatars"),
+        ),
+    )
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nothing leaves this computer."""
+        return is_loopback(self.host)
+
+
+EXPRESSIONS = settings_of(SendSettings)["expressions"].values
+"""Values of `SendSettings.expressions`."""
 
 
 PROTOCOLS: dict[str, StreamProtocol] = {

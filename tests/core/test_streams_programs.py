@@ -1,5 +1,6 @@
 """Packets of programs on computers follow their specification, survive encoding, and are refused if invalid."""
 
+import socket
 import struct
 from dataclasses import replace
 
@@ -20,10 +21,13 @@ from facemime.core.streams.frames import (
     to_quaternion,
 )
 from facemime.core.streams.openseeface import OpenSeeFaceDecoder, fit_pose
+from facemime.core.streams.sender import StreamSender
+from facemime.core.streams.settings import SendSettings
 from facemime.core.streams.vmc import VmcDecoder
 from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.timing import project
-from takes import performance
+from takes import coefficient_take, performance
 
 # VMC
 
@@ -69,17 +73,60 @@ def test_vmc_survives_encoding_in_bundles_that_fit_a_packet_and_applies_last(val
     np.testing.assert_allclose(frames[0].face.rotation, angles, atol=1e-6)
 
 
-def test_vmc_sends_vrm_0_and_vrm_1_names_as_well_in_their_own_case():
+def expressions_in(bundles) -> dict[str, float]:
+    """Names and values of expressions, as a library reads them."""
+    messages = [timed.message for bundle in bundles for timed in OscPacket(bundle).messages]
+    return {message.params[0]: message.params[1] for message in messages if message.address.endswith("Val")}
+
+
+@pytest.mark.parametrize(("names", "lid"), [("arkit", ["EyeBlinkLeft"]), ("vrm", ["Blink_L", "blinkLeft"])])
+def test_vmc_shuts_a_lid_by_one_set_of_names_and_sends_the_other_as_0(names, lid):
     coefficients = np.zeros(N_COEFFICIENTS)
     coefficients[COEFFICIENT_INDEX["eyeBlinkLeft"]] = 0.75
-    sent = {
-        timed.message.params[0]: timed.message.params[1]
-        for bundle in vmc.encode(FaceValues(coefficients, np.zeros(3)), 0.0)
-        for timed in OscPacket(bundle).messages
-        if timed.message.address.endswith("Val")
-    }
-    assert sent["Blink_L"] == sent["blinkLeft"] == sent["EyeBlinkLeft"] == 0.75
-    assert {"A", "aa", "Joy", "happy"} <= sent.keys()
+    sent = expressions_in(vmc.encode(FaceValues(coefficients, np.zeros(3)), 0.0, names))
+    assert {name for name, value in sent.items() if value} == set(lid)
+    assert {sent[name] for name in lid} == {0.75}
+    assert {"A", "aa", "Joy", "happy", "EyeBlinkLeft"} <= sent.keys()
+
+
+def test_vmc_reads_vrms_names_where_arkits_are_sent_as_0():
+    coefficients = np.zeros(N_COEFFICIENTS)
+    coefficients[COEFFICIENT_INDEX["jawOpen"]] = 0.5
+    decoder = VmcDecoder()
+    bundles = vmc.encode(FaceValues(coefficients, np.zeros(3)), 0.0, "vrm")
+    (frame,) = [frame for bundle in bundles for frame in decoder.decode(bundle)]
+    assert value_of(frame.face, "jawOpen") > 0.3
+
+
+@pytest.mark.parametrize(
+    ("chosen", "answer", "moving"),
+    [
+        ("automatic", "", "Blink_L"),
+        ("automatic", "Blink_L", "Blink_L"),
+        ("automatic", "EyeBlinkLeft", "EyeBlinkLeft"),
+        ("arkit", "", "EyeBlinkLeft"),
+        ("vrm", "EyeBlinkLeft", "Blink_L"),
+    ],
+)
+def test_vmc_moves_the_expressions_that_the_avatar_has_or_that_are_chosen(chosen, answer, moving):
+    take = coefficient_take(4)
+    take.coefficients[:, COEFFICIENT_INDEX["eyeBlinkLeft"]] = 0.5
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        settings = SendSettings("vmc", port=receiver.getsockname()[1], expressions=chosen)
+        sender = StreamSender(settings)
+        for frame in range(2):
+            sender.send(frame / 60.0, take.result(frame), calibrate(take))
+            bundles = []
+            while not bundles or b"Apply" not in bundles[-1]:
+                data, address = receiver.recvfrom(2048)
+                bundles.append(data)
+            if answer:
+                receiver.sendto(osc.encode_message("/VMC/Ext/Blend/Val", answer, 0.0), address)
+        sender.close()
+    sent = expressions_in(bundles)
+    assert [name for name in ("EyeBlinkLeft", "Blink_L") if sent[name] > 0.0] == [moving]
 
 
 @pytest.mark.parametrize(

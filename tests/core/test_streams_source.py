@@ -22,8 +22,8 @@ from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams.security import write_key
-from facemime.core.streams.sender import SENT, SendSettings, StreamSender, moved_from, turned_from
-from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.sender import SENT, StreamSender, moved_from, turned_from
+from facemime.core.streams.settings import SendSettings, StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.timeline import EASE, HOLD
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -41,7 +41,7 @@ RATE = 60.0
 @pytest.mark.parametrize(("protocol", "precision"), [("own", 2e-5), ("vmc", 1e-5), ("livelink", 1e-5)])
 def test_a_recorded_stream_of_coefficients_bakes_to_what_was_sent(opened, tmp_path, protocol, precision):
     take, source = acted(), opened(protocol)
-    sender, neutral = sender_to(source), coefficient_face().neutral
+    sender, neutral = sender_to(source, expressions="arkit"), coefficient_face().neutral
     frames = streamed(source, take, lambda n: sender.send(take.times[n], take.result(n), neutral))
     sender.close()
     saved = recorded(frames, tmp_path / "stream.facetake")
