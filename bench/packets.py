@@ -155,7 +155,7 @@ INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
     "own_signed": (_Signed, _signed),
     "livelink": (LiveLinkDecoder, lambda: [live_link.encode(_FACE, 12.5, subject="iPhone", device="d" * 36)]),
     "vmc": (VmcDecoder, lambda: list(vmc.encode(_FACE, 1.5))),
-    "openseeface": (OpenSeeFaceDecoder, lambda: [openseeface.encode(_TRACKED, 1.5)]),
+    "openseeface": (OpenSeeFaceDecoder, lambda: [openseeface.encode(_TRACKED, 1.5, (640, 480))]),
     "ifacialmocap": (IFacialMocapDecoder, _phone_text),
     "face_motion": (_Motion, _motion),
     "vtubestudio": (VTubeStudioDecoder, lambda: [json.dumps(phone_json()).encode()]),

@@ -14,8 +14,9 @@ from ..drive.settings import DriveSettings
 from ..errors import SourceError
 from ..heads.looks import eyes_of_gaze
 from ..rotation import euler_to_matrix, matrix_to_euler
+from ..takes.from_animation import IMAGE_SIZE
 from ..takes.from_coefficients import coefficient_face
-from ..takes.neutral import Neutral
+from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
@@ -46,23 +47,6 @@ class FaceMeasure:
         self._made_for: tuple[int, DriveSettings] | None = None
         self._coefficients: FrameCoefficients | None = None
 
-    def mirrored(self, result: TrackResult, options: DriveSettings) -> TrackResult:
-        """Mirror a result if the options say so.
-
-        Parameters
-        ----------
-        result : TrackResult
-            The result.
-        options : DriveSettings
-            Whether to mirror.
-
-        Returns
-        -------
-        TrackResult
-            The mirrored result; `result` itself if it has no face or is not to be mirrored.
-        """
-        return mirror_result(result, openseeface.IMAGE_SIZE[0]) if options.mirror and result.found else result
-
     def values(self, result: TrackResult, neutral: Neutral | None, options: DriveSettings) -> FaceValues | None:
         """Measure a face.
 
@@ -85,7 +69,7 @@ class FaceMeasure:
         if self._coefficients is None or self._made_for != (id(neutral), options):
             self._neutral, self._made_for = neutral, (id(neutral), options)
             self._coefficients = FrameCoefficients(neutral, options)
-        seen = self.mirrored(result, options)
+        seen = mirror_result(result, MIRROR_WIDTH) if options.mirror else result
         own = neutral.mirrored() if options.mirror else neutral
         eyes = eyes_from(seen, own)
         return FaceValues(self._coefficients.of(result), turned_from(seen, own), moved_from(seen, own), eyes)
@@ -136,7 +120,9 @@ class StreamSender:
         self._face = FaceMeasure()
         self._arkit = settings.expressions == "arkit"
 
-    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+    def send(
+        self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int] | None = None
+    ) -> None:
         """Send a frame.
 
         Parameters
@@ -147,13 +133,15 @@ class StreamSender:
             The result.
         neutral : Neutral or None
             The performer's neutral face, not mirrored. Without one, only Facemime's own protocol and OpenSeeFace send.
+        size : (int, int), optional
+            Width and height of the image in pixels; by default those of the image of faces that are not tracked.
         """
         if self.settings.protocol == OWN:
             self._greet()
             if not self._own.ready:
                 return
         try:
-            packets = self._packets(max(time, 0.0), result, neutral)
+            packets = self._packets(max(time, 0.0), result, neutral, size or IMAGE_SIZE)
             for packet in packets:
                 self._socket.sendto(packet, self._address)
         except ConnectionError:
@@ -170,14 +158,16 @@ class StreamSender:
         """Close the socket. May be called twice."""
         self._socket.close()
 
-    def _packets(self, time: float, result: TrackResult, neutral: Neutral | None) -> list[bytes]:
+    def _packets(self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int]) -> list[bytes]:
         protocol = self.settings.protocol
         if protocol == OWN:
             return [self._own.packet(*datagram.encode_face(result), time)]
         if protocol == "openseeface":
-            mirrored = neutral.mirrored() if neutral is not None and self.options.mirror else neutral
-            rest = None if mirrored is None else mirrored.shape
-            return [openseeface.encode(self._face.mirrored(result, self.options), time, rest)] if result.found else []
+            if not result.found:
+                return []
+            rest = None if neutral is None else (neutral.mirrored() if self.options.mirror else neutral).shape
+            seen = mirror_result(result, size[0]) if self.options.mirror else result
+            return [openseeface.encode(seen, time, size, rest)]
         face = self._face.values(result, neutral, self.options)
         if face is None and (result.found or neutral is None):
             return []

@@ -24,6 +24,7 @@ from facemime.core.streams.openseeface import OpenSeeFaceDecoder, fit_pose
 from facemime.core.streams.sender import StreamSender
 from facemime.core.streams.settings import SendSettings
 from facemime.core.streams.vmc import VmcDecoder
+from facemime.core.takes.from_animation import IMAGE_SIZE
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.timing import project
@@ -178,7 +179,7 @@ def test_points_of_openseeface_are_remapped_so_that_no_mouth_is_scrambled():
         # The inner corners stand for the outer ones, which are not sent.
         number = theirs.index({48: 60, 54: 64}.get(ibug, ibug))
         np.testing.assert_allclose(frame.face.landmarks[ours], points[number], rtol=1e-6)
-        np.testing.assert_allclose(frame.face.shape[ours] * 0.74, places[number] * (-1, 1, 1), rtol=1e-5)
+        np.testing.assert_allclose(frame.face.shape[ours] * 0.63181, places[number] * (-1, 1, 1), rtol=1e-5)
     np.testing.assert_allclose(frame.face.landmarks[MOUTH_CORNERS], points[[58, 62]], rtol=1e-6)
     assert frame.subject == "3" and frame.time == 12.5
 
@@ -191,7 +192,7 @@ def test_openseeface_without_points_in_space_has_no_face():
 
 def test_several_faces_of_openseeface_are_distinguished():
     take = performance()
-    one = openseeface.encode(take.result(0), 1.0)
+    one = openseeface.encode(take.result(0), 1.0, (640, 480))
     other = one[:8] + struct.pack("<i", 7) + one[12:]
     assert [frame.subject for frame in OpenSeeFaceDecoder().decode(one + other)] == ["0", "7"]
 
@@ -209,7 +210,7 @@ def test_openseeface_survives_encoding_and_decoding():
     for frame in (0, 20, 40):
         result = take.result(frame)
         result = replace(result, landmarks=project(result.shape[None], result.pose[None])[0])
-        (found,) = OpenSeeFaceDecoder().decode(openseeface.encode(result, 3.0))
+        (found,) = OpenSeeFaceDecoder().decode(openseeface.encode(result, 3.0, (640, 480)))
         np.testing.assert_allclose(found.face.shape, result.shape, atol=1e-6)
         np.testing.assert_allclose(found.face.pose, result.pose, rtol=1e-4, atol=1e-3)
 
@@ -222,15 +223,62 @@ def test_the_gaze_survives_openseeface():
         0.2,
     )
     result = coefficient_face().result(values, np.zeros(3))
-    (found,) = OpenSeeFaceDecoder().decode(openseeface.encode(result, 0.0))
+    (found,) = OpenSeeFaceDecoder().decode(openseeface.encode(result, 0.0, IMAGE_SIZE))
     np.testing.assert_allclose(found.face.gaze, result.gaze, atol=1e-4)
     assert found.face.vergence == pytest.approx(result.vergence, abs=1e-4)
+
+
+# The outer and inner corners of the eyes of the face in OpenSeeFace's tracker: right eye, left eye.
+OWN_EYES = np.array(
+    [
+        [0.315905195966084, 0.298337502555443, -0.285107407636464],
+        [0.131229723798772, 0.284447361805627, -0.234239149487417],
+        [-0.131229723798772, 0.284447361805627, -0.234239149487417],
+        [-0.315905195966084, 0.298337502555443, -0.285107407636464],
+    ]
+)
+
+
+def test_the_face_in_openseefaces_tracker_is_one_outer_eye_distance_wide():
+    places = np.random.default_rng(0).normal(size=(70, 3))
+    places[[36, 39, 42, 45]] = OWN_EYES * (1, -1, -1)  # as its tracker sends it
+    points = np.random.default_rng(1).uniform(0, 400, (68, 2))
+    (frame,) = OpenSeeFaceDecoder().decode(golden_openseeface(points, places))
+    width = np.linalg.norm(np.subtract(*frame.face.shape[[36, 45]]))
+    assert width == pytest.approx(1.0, abs=1e-4)
+
+
+def test_the_corners_of_the_mouth_are_sent_as_openseefaces_tracker_measures_them():
+    take = coefficient_take(60)
+    rest = coefficient_face().neutral.shape
+    measured, sent = [], []
+    for frame in range(len(take)):
+        data = openseeface.encode(take.result(frame), 0.0, (640, 480), rest)
+        y = -np.frombuffer(data, "<f4", 210, len(data) - 4 * (210 + 14)).reshape(70, 3)[:, 1]  # the tracker's is up
+        nose = np.mean([y[27] - y[28], y[28] - y[29], y[29] - y[30]])
+        lip = np.mean(y[[49, 50, 51]])
+        measured.append([(lip - y[62]) / nose, (lip - y[58]) / nose])
+        sent.append(struct.unpack("<14f", data[-56:])[8:12:2])
+    for side in range(2):
+        assert np.corrcoef(np.array(measured)[:, side], np.array(sent)[:, side])[0, 1] > 0.98
+
+
+@pytest.mark.parametrize("size", [(640, 480), (1080, 1920)])
+def test_openseeface_is_told_the_size_of_the_image(size):
+    take = performance()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
+        receiver.bind(("127.0.0.1", 0))
+        receiver.settimeout(10.0)
+        sender = StreamSender(SendSettings("openseeface", port=receiver.getsockname()[1]))
+        sender.send(0.0, take.result(0), None, size)
+        sender.close()
+        assert struct.unpack_from("<2f", receiver.recv(2048), 12) == size
 
 
 def test_a_frontal_face_has_the_rotation_that_openseefaces_receivers_expect():
     """Receivers subtract 90 degrees from z and turn x by 180; the remainder looks straight into the camera."""
     values, angles = np.zeros(N_COEFFICIENTS), np.array([0.01, 0.01, 0.01])
-    data = openseeface.encode(coefficient_face().result(values, angles), 0.0)
+    data = openseeface.encode(coefficient_face().result(values, angles), 0.0, IMAGE_SIZE)
     x, y, z, *moved = struct.unpack_from("<6f", data, 8 + 4 + 8 + 8 + 1 + 4 + 16)
     assert abs(x) == pytest.approx(180.0, abs=1.0)
     assert y == pytest.approx(0.0, abs=1.0) and z == pytest.approx(90.0, abs=1.0)
@@ -251,6 +299,6 @@ def test_a_frontal_face_has_the_rotation_that_openseefaces_receivers_expect():
     ],
 )
 def test_invalid_packets_of_openseeface_are_refused(change):
-    data = openseeface.encode(performance().result(0), 1.0)
+    data = openseeface.encode(performance().result(0), 1.0, (640, 480))
     with pytest.raises(PacketError):
         OpenSeeFaceDecoder().decode(change(data))
