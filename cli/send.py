@@ -74,7 +74,7 @@ class SendJob:
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
     send = add_command(commands, "send", "track a face, and send it to another computer or program")
-    add_source(send)
+    add_source(send, takes_as_recorded=True)
     add_head_option(send)
     where = send.add_mutually_exclusive_group(required=True)
     where.add_argument("--to", metavar="HOST[:PORT]", help="address to send to, as in 192.168.1.7:39539")

@@ -36,7 +36,7 @@ def sent_and_received(tmp_path: Path, protocol: str, source: Path, *more: object
     line = [*START, "receive", "--protocol", protocol, "--listen", f":{port}", "-o", out, *more]
     with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as receiver:
         _wait_for(port)
-        to = ("--to", f"127.0.0.1:{port}", "--protocol", protocol, "--smoothing", 0, "--expressions", "arkit")
+        to = ("--to", f"127.0.0.1:{port}", "--protocol", protocol, "--expressions", "arkit")
         sending = run("send", "--video", source, *to, *more)
         assert sending.returncode == 0, sending.stderr
         time.sleep(0.5)
