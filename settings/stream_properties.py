@@ -32,6 +32,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
             ("facecap", "Face Cap", "The app Face Cap on an iPhone", 7),
             ("vertices", "Vertices", "Moved vertices from another Facemime or an engine over TCP", 8),
             ("ifacialmocap-tcp", "iFacialMocap over TCP", "The app iFacialMocap, in networks that lose packets", 9),
+            ("vrcfacetracking", "VRCFaceTracking", "VRCFaceTracking, for headsets that track the face", 11),
             ("facemotion3d-tcp", "Facemotion3d over TCP", "The app Facemotion3d, in networks that lose packets", 10),
         ),
         default="livelink",

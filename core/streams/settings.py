@@ -8,7 +8,18 @@ from pathlib import Path
 
 from ..errors import SourceError
 from ..settings import Choice, setting, settings_of
-from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vertices, vmc, vtube_studio
+from . import (
+    datagram,
+    face_cap,
+    face_motion,
+    ifacialmocap,
+    live_link,
+    openseeface,
+    vertices,
+    vmc,
+    vrcfacetracking,
+    vtube_studio,
+)
 from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
 from .frames import Decoder
@@ -20,6 +31,7 @@ from .security import read_key
 from .vertex_decoder import VertexDecoder
 from .vertices import VERTICES
 from .vmc import VmcDecoder
+from .vrcfacetracking import VrcFaceTrackingDecoder
 from .vtube_studio import VTubeStudioDecoder
 
 OWN = "own"
@@ -91,6 +103,8 @@ class StreamSettings:
         Unit of the angles of Live Link Face.
     flip : tuple of {"pitch", "yaw", "roll"}
         Rotations of the head to reverse.
+    swap : bool
+        Whether left and right of the face are exchanged.
     senders : tuple of str
         For each head, the address or name of the sender that drives it; "" for `sender`.
     pairing : Pairing or None
@@ -127,6 +141,11 @@ class StreamSettings:
         ),
     )
     flip: tuple[str, ...] = ()
+    swap: bool = setting(
+        False,
+        "Swap Left and Right",
+        "Exchange left and right of the face, for senders that mirror it; the head's rotation is left to Flip",
+    )
     senders: tuple[str, ...] = ("",)
     pairing: Pairing | None = None
 
@@ -274,6 +293,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     ),
     "vmc": StreamProtocol("VMC", vmc.PORT, lambda s: VmcDecoder()),
     "openseeface": StreamProtocol("OpenSeeFace", openseeface.PORT, lambda s: OpenSeeFaceDecoder()),
+    "vrcfacetracking": StreamProtocol("VRCFaceTracking", vrcfacetracking.PORT, lambda s: VrcFaceTrackingDecoder()),
     "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
     VERTICES: StreamProtocol("Vertices", vertices.PORT, lambda s: VertexDecoder(), connected=True),
 }

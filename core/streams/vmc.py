@@ -11,6 +11,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..bake.key_map import presets
 from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..heads.looks import LOOKS, looks_of_eyes
 from ..rotation import euler_to_matrix, matrix_to_euler
 from . import osc
 from .frames import (
@@ -50,6 +51,10 @@ _SHARES: dict[str, tuple[tuple[str, float], ...]] = {
     **{name: tuple((part, 1.0) for part in parts) for name, parts in _BOTH.items()},
 }
 """VRM's expressions, in lower case, as ARKit's coefficients, for senders that have nothing else."""
+_EYES = ("RightEye", "LeftEye")
+_LEAST_GAZE, _MAX_GAZE = 1e-4, np.radians(60.0)
+"""Smallest angle in radians of eyes that are tracked, as the bones of others are sent without a rotation; and largest,
+as some avatars have eye bones that are turned at rest."""
 _MAX_NAMES, _MAX_NAME = 300, 64
 """Largest number of names that are remembered, and of characters in each."""
 
@@ -59,7 +64,7 @@ class VmcDecoder:
 
     def __init__(self) -> None:
         self._values: dict[str, float] = {}
-        self._bones = {"Neck": np.eye(3), "Head": np.eye(3)}
+        self._bones = {name: np.eye(3) for name in ("Neck", "Head", *_EYES)}
         self._time: float | None = None
         self._tracked = True
 
@@ -86,8 +91,19 @@ class VmcDecoder:
         if not self._tracked:
             return StreamFrame(None, time=self._time)
         turn = self._bones["Neck"] @ self._bones["Head"]
-        face = FaceValues(_coefficients(self._values), np.array(matrix_to_euler(turn)))
+        coefficients, eyes = _coefficients(self._values), self._eyes()
+        if eyes is not None and not coefficients[LOOKS].any():
+            coefficients[LOOKS] = looks_of_eyes(eyes)
+        face = FaceValues(coefficients, np.array(matrix_to_euler(turn)), eyes=eyes)
         return StreamFrame(checked(face), time=self._time)
+
+    def _eyes(self) -> FloatArray | None:
+        """Return pitch and yaw of the right and left eye; None if the bones do not show them."""
+        turns = np.stack([self._bones[name] for name in _EYES])
+        down, across = np.arcsin(np.clip(-turns[:, 1, 2], -1.0, 1.0)), np.arctan2(turns[:, 0, 2], turns[:, 2, 2])
+        eyes = np.stack([down, across], axis=1)
+        size = np.abs(eyes).max()
+        return eyes if _LEAST_GAZE < size < _MAX_GAZE else None
 
     def _value(self, arguments: tuple[osc.Argument, ...]) -> None:
         if len(arguments) != 2:

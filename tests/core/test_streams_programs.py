@@ -46,6 +46,37 @@ def test_vmc_accepts_arkits_names_in_any_case_and_the_heads_bone():
     np.testing.assert_allclose(frame.face.rotation, [0.1, -0.2, 0.3], atol=1e-6)
 
 
+def turned_bones(right: tuple[float, float], left: tuple[float, float]) -> list[bytes]:
+    """Eye bones that are turned by angles down and to the avatar's right, about Unity's axes: to the right and up."""
+    messages = []
+    for name, (down, across) in (("RightEye", right), ("LeftEye", left)):
+        yaw, pitch = np.array([0.0, np.sin(across / 2), 0.0]), np.array([np.sin(down / 2), 0.0, 0.0])
+        w, v = np.cos(across / 2), np.cos(down / 2)
+        x, y, z = w * pitch + v * yaw + np.cross(yaw, pitch)  # first down, then across, as Unity's Euler angles
+        messages.append(osc.encode_message("/VMC/Ext/Bone/Pos", name, 0.0, 0.0, 0.0, x, y, z, w * v))
+    return messages
+
+
+def test_vmc_looks_where_the_eye_bones_do():
+    decoder = VmcDecoder()
+    for message in turned_bones((0.2, 0.1), (0.2, 0.3)):
+        decoder.decode(message)
+    decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", "JawOpen", 0.5))
+    (frame,) = decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))
+    np.testing.assert_allclose(frame.face.eyes, [[0.2, 0.1], [0.2, 0.3]], atol=1e-6)
+    assert value_of(frame.face, "eyeLookInLeft") > value_of(frame.face, "eyeLookOutRight") > 0.1
+    assert value_of(frame.face, "eyeLookDownLeft") > 0.3 and value_of(frame.face, "jawOpen") == 0.5
+
+
+@pytest.mark.parametrize("eyes", [((0.0, 0.0), (0.0, 0.0)), ((1.5, 0.0), (1.5, 0.0))])
+def test_vmc_without_tracked_eyes_looks_where_the_expressions_say(eyes):
+    decoder = VmcDecoder()
+    for message in (*turned_bones(*eyes), osc.encode_message("/VMC/Ext/Blend/Val", "EyeLookDownLeft", 0.5)):
+        decoder.decode(message)
+    (frame,) = decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))
+    assert frame.face.eyes is None and value_of(frame.face, "eyeLookDownLeft") == 0.5
+
+
 def test_vmc_accepts_vrms_names_if_there_are_no_others():
     decoder = VmcDecoder()
     for name, value in (("A", 0.6), ("Blink_L", 1.0), ("Joy", 0.5), ("LookUp", 0.25)):
