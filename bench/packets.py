@@ -37,6 +37,7 @@ from facemime.core.streams.vertex_decoder import VertexDecoder
 from facemime.core.streams.vertices import encode_face as encode_points
 from facemime.core.streams.vertices import encode_frame, encode_mesh
 from facemime.core.streams.vmc import VmcDecoder
+from facemime.core.streams.vrcfacetracking import VrcFaceTrackingDecoder
 from facemime.core.streams.vtube_studio import VTubeStudioDecoder
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.tracking.result import TrackResult
@@ -128,6 +129,14 @@ def _face_cap() -> list[bytes]:
     return [*osc.encode_bundles(messages, 9000), messages[-1]]
 
 
+def _headset() -> list[bytes]:
+    numbers = [("JawOpen", 0.5), ("SmileFrownLeft", -0.5), ("EyeLeftX", 0.2), ("EyeY", -0.3), ("EyeLidRight", 0.75)]
+    bits = [("MouthX1", True), ("MouthX2", False), ("MouthXNegative", True)]
+    messages = [osc.encode_message(f"/avatar/parameters/FT/v2/{name}", value) for name, value in (*numbers, *bits)]
+    messages.append(osc.encode_message("/tracking/eye/LeftRightPitchYaw", 10.0, 5.0, 10.0, 3.0))
+    return [*osc.encode_bundles(messages, 4096), messages[0], messages[-2]]
+
+
 @cache
 def _head() -> tuple[HeadDriver, Appearance]:
     return HeadDriver(built_in_rig(lashes=True), coefficient_face().neutral), built_in_appearance()
@@ -155,10 +164,11 @@ INTACT: dict[str, tuple[Callable[[], Decoder], Callable[[], list[bytes]]]] = {
     "own_signed": (_Signed, _signed),
     "livelink": (LiveLinkDecoder, lambda: [live_link.encode(_FACE, 12.5, subject="iPhone", device="d" * 36)]),
     "vmc": (VmcDecoder, lambda: list(vmc.encode(_FACE, 1.5))),
-    "openseeface": (OpenSeeFaceDecoder, lambda: [openseeface.encode(_TRACKED, 1.5)]),
+    "openseeface": (OpenSeeFaceDecoder, lambda: [openseeface.encode(_TRACKED, 1.5, (640, 480))]),
     "ifacialmocap": (IFacialMocapDecoder, _phone_text),
     "face_motion": (_Motion, _motion),
     "vtubestudio": (VTubeStudioDecoder, lambda: [json.dumps(phone_json()).encode()]),
+    "vrcfacetracking": (VrcFaceTrackingDecoder, _headset),
     "facecap": (FaceCapDecoder, _face_cap),
     "vertices": (_Vertices, _vertices),
 }
@@ -177,7 +187,9 @@ def is_possible(frame: StreamFrame) -> bool:
     if isinstance(face, FaceValues):
         if not ((face.coefficients >= 0.0) & (face.coefficients <= 1.0)).all():
             return False
-        face = coefficient_face().result(face.coefficients, face.rotation, face.position)
+        if face.eyes is not None and not (np.abs(face.eyes) <= np.pi).all():
+            return False
+        face = coefficient_face().result(face.coefficients, face.rotation, face.position, face.eyes)
     if face is not None:
         numbers = (face.shape, face.pose, face.landmarks)
         if not all(np.isfinite(values).all() for values in numbers) or not face.pose[0] > 0.0:

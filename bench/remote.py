@@ -36,8 +36,8 @@ from facemime.core.streams.frames import PacketError
 from facemime.core.streams.pairing import Pairing
 from facemime.core.streams.playout import Playout
 from facemime.core.streams.security import write_key
-from facemime.core.streams.sender import SendSettings, StreamSender
-from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.sender import StreamSender
+from facemime.core.streams.settings import SendSettings, StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.tls_server import TlsSender
 from facemime.core.takes.from_video import track_video

@@ -31,13 +31,16 @@ LOOK = 0.1
 """Seconds between two looks at what a source or a worker does."""
 
 
-def add_source(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a performance that is tracked live."""
+def add_source(parser: argparse.ArgumentParser, *, takes_as_recorded: bool = False) -> None:
+    """Add the options of a performance that is tracked live; takes may be left unsmoothed unless an option smooths."""
     source = parser.add_mutually_exclusive_group(required=True)
     source.add_argument("--camera", metavar="N|NAME", help="a camera, by number or name")
     source.add_argument("--video", type=Path, metavar="VIDEO|TAKE", help="a video or a take, played in real time")
     parser.add_argument("--loop", action="store_true", help="start the video again at its end")
-    add_settings(parser, PuppetSettings, without=("rotation", "translation"))
+    usual = f"{PuppetSettings.smoothing:g}"
+    smoothing = f"{usual}; 0 for a take, as it was recorded" if takes_as_recorded else usual
+    add_settings(parser, PuppetSettings, ("rotation", "translation"), {"smoothing": smoothing})
+    parser.set_defaults(takes_as_recorded=takes_as_recorded)
     parser.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C, or the video's end)")
     add_face_option(parser)
     add_settings(parser, TrackingSettings)
@@ -55,8 +58,10 @@ class Performance:
         A video or a take.
     loop : bool
         Whether the video starts again at its end.
-    smoothing : float
-        As in `PuppetSettings`.
+    smoothing : float or None
+        As in `PuppetSettings`; None for the default.
+    takes_as_recorded : bool
+        Whether the default for a take is not to smooth it.
     seconds : float or None
         Time after which to stop; None for the end of the video, or a signal.
     face : (float, float) or None
@@ -67,7 +72,8 @@ class Performance:
     camera: str | None
     video: Path | None
     loop: bool
-    smoothing: float
+    smoothing: float | None
+    takes_as_recorded: bool
     seconds: float | None
     face: tuple[float, float] | None
     tracking: TrackingSettings = field(default_factory=TrackingSettings)
@@ -75,13 +81,20 @@ class Performance:
     @property
     def options(self) -> LiveOptions:
         """Options of the worker."""
-        return LiveOptions(smoothing=self.smoothing, face=self.face, tracking=self.tracking)
+        smoothing = self.smoothing
+        if smoothing is None:
+            smoothing = 0.0 if self._is_take and self.takes_as_recorded else PuppetSettings.smoothing
+        return LiveOptions(smoothing=smoothing, face=self.face, tracking=self.tracking)
+
+    @property
+    def _is_take(self) -> bool:
+        return self.video is not None and self.video.suffix.lower() == SUFFIX
 
     def open(self) -> tuple[LiveSource, Neutral | None]:
         """Open the source, and return it with the neutral face that a take has; SourceError if it cannot be opened."""
         if self.video is None:
             return Camera(CameraSettings(parse_device(str(self.camera), list_cameras()))), None
-        if self.video.suffix.lower() == SUFFIX:
+        if self._is_take:
             take = load_with_warnings(self.video)
             stored = take.info.get("calibration")
             neutral = None if stored is None else Neutral.from_dict(stored)

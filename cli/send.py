@@ -16,8 +16,8 @@ from ..core.puppet.job import HeadFile
 from ..core.streams.addresses import parse_address, reachable
 from ..core.streams.pairing import PORT as TLS_PORT
 from ..core.streams.pairing import Pairing
-from ..core.streams.sender import SENT, VTUBE_STUDIO, SendSettings, StreamSender
-from ..core.streams.settings import OWN
+from ..core.streams.sender import SENT, VTUBE_STUDIO, StreamSender
+from ..core.streams.settings import EXPRESSIONS, OWN, SendSettings
 from ..core.streams.vertices import VERTICES, VertexSender
 from .performance import Performance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
@@ -54,7 +54,7 @@ class SendJob:
         One of `SENT`, `VERTICES` or `VTUBE_STUDIO`.
     key : Path or None
         File with the shared key of Facemime's own protocol.
-    subject : str
+    subject, expressions : str
         As in `SendSettings`.
     """
 
@@ -68,12 +68,13 @@ class SendJob:
     protocol: str
     key: Path | None
     subject: str
+    expressions: str
 
 
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
     send = add_command(commands, "send", "track a face, and send it to another computer or program")
-    add_source(send)
+    add_source(send, takes_as_recorded=True)
     add_head_option(send)
     where = send.add_mutually_exclusive_group(required=True)
     where.add_argument("--to", metavar="HOST[:PORT]", help="address to send to, as in 192.168.1.7:39539")
@@ -101,6 +102,12 @@ def add_commands(commands: Commands) -> None:
         default=SendSettings.subject,
         metavar="NAME",
         help=f"name of the face in Unreal ({SendSettings.subject})",
+    )
+    send.add_argument(
+        "--expressions",
+        choices=EXPRESSIONS,
+        default=SendSettings.expressions,
+        help=f"names of the expressions that move in VMC ({SendSettings.expressions})",
     )
     send.set_defaults(run=lambda given: run_send(filled(SendJob, given)))
 
@@ -136,7 +143,7 @@ def _open_sender(job: SendJob) -> Callable[[LiveWorker], Sender]:
     if job.protocol == VTUBE_STUDIO:
         return _open_vtube_studio(job)
     host, port = parse_address(job.to or "")
-    settings = SendSettings(job.protocol, host, port, job.key, job.subject)
+    settings = SendSettings(job.protocol, host, port, job.key, job.subject, job.expressions)
     if job.protocol == VERTICES:
         return _open_vertices(settings, *head_to_show(job.head))
 

@@ -12,13 +12,14 @@ from ..core.bake.arkit import arkit_coefficients
 from ..core.capture import check_readable
 from ..core.drive.anonymous import anonymise
 from ..core.errors import FacemimeError
+from ..core.heads.looks import LOOKS, eyes_of_gaze, gaze_of
 from ..core.images import write_image
 from ..core.puppet.job import HeadFile
 from ..core.recordings.reading import SUFFIXES as RECORDINGS
 from ..core.recordings.reading import read_recording
 from ..core.settings import settings_of
-from ..core.streams.sender import turned_from
-from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS, write_coefficient_csv
+from ..core.streams.sender import eyes_from, turned_from
+from ..core.takes.coefficient_table import write_coefficient_csv
 from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import mend
@@ -26,6 +27,7 @@ from ..core.takes.neutral import calibrate
 from ..core.takes.settings import BLEND, Mending
 from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
+from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .terminal.blender import importing_blender
@@ -232,8 +234,13 @@ def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bo
         tell(f"facemime: {neutral.warning}")
     seen = take.part(take.found)
     values = arkit_coefficients(seen, neutral)
-    turns = np.array([turned_from(seen.result(frame), neutral) for frame in range(len(seen))])
-    write_coefficient_csv(output, seen.times, values, turns, live_link=live_link, rate=rate)
+    results = [seen.result(frame) for frame in range(len(seen))]
+    turns = np.array([turned_from(result, neutral) for result in results])
+    looks = [eyes_from(result, neutral) for result in results]
+    eyes = [
+        eyes_of_gaze(*gaze_of(row[LOOKS])) if look is None else look for look, row in zip(looks, values, strict=True)
+    ]
+    write_coefficient_csv(output, seen.times, values, turns, np.array(eyes), live_link=live_link, rate=rate)
 
 
 def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUTOMATIC) -> int:

@@ -12,9 +12,9 @@ from ..core.errors import SourceError
 from ..core.live.sources import PacedSource
 from ..core.recordings.reading import SUFFIXES as RECORDINGS
 from ..core.recordings.reading import read_recording
-from ..core.takes.coefficient_table import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.spreadsheet import to_csv
+from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
 from ..sessions.countdown import COUNTDOWN
 from ..sessions.live import LiveSession

@@ -4,8 +4,7 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.streams.addresses import LOOPBACK
-from ..core.streams.sender import SendSettings
-from ..core.streams.settings import StreamSettings
+from ..core.streams.settings import SendSettings, StreamSettings
 from ..core.viewer.settings import PORT
 from .rna import with_settings
 
@@ -33,6 +32,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
             ("facecap", "Face Cap", "The app Face Cap on an iPhone", 7),
             ("vertices", "Vertices", "Moved vertices from another Facemime or an engine over TCP", 8),
             ("ifacialmocap-tcp", "iFacialMocap over TCP", "The app iFacialMocap, in networks that lose packets", 9),
+            ("vrcfacetracking", "VRCFaceTracking", "VRCFaceTracking, for headsets that track the face", 11),
             ("facemotion3d-tcp", "Facemotion3d over TCP", "The app Facemotion3d, in networks that lose packets", 10),
         ),
         default="livelink",
@@ -75,6 +75,7 @@ class FacemimeHead(bpy.types.PropertyGroup):
     )
 
 
+@with_settings(SendSettings)
 class FacemimeOutput(bpy.types.PropertyGroup):
     """Where the performance is sent while a puppet is running."""
 

@@ -24,8 +24,8 @@ from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlay
 from ..core.puppet.settings import PuppetSettings
 from ..core.streams.addresses import LOOPBACK, is_loopback
 from ..core.streams.pairing import parse_pairing
-from ..core.streams.sender import VTUBE_STUDIO, SendSettings, StreamSender
-from ..core.streams.settings import OWN, PROTOCOLS, StreamSettings
+from ..core.streams.sender import VTUBE_STUDIO, StreamSender
+from ..core.streams.settings import OWN, PROTOCOLS, SendSettings, StreamSettings
 from ..core.streams.source import StreamSource
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
@@ -236,7 +236,15 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender 
         from ..core.streams.vtube_studio_api import VTubeStudioSender  # only now, as its libraries take a moment
 
         return VTubeStudioSender(host, output.port, private_folder("vtube_studio") / "token", drive_settings(settings))
-    wanted = SendSettings(output.protocol, host, output.port, key, output.subject or SendSettings.subject)
+    wanted = read(
+        SendSettings,
+        output,
+        protocol=output.protocol,
+        host=host,
+        port=output.port,
+        key=key,
+        subject=output.subject or SendSettings.subject,
+    )
     return StreamSender(wanted, drive_settings(settings))
 
 

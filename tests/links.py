@@ -14,8 +14,8 @@ from pytest import MonkeyPatch
 
 from facemime.core.live.outputs import Output
 from facemime.core.live.sources import LiveFrame
-from facemime.core.streams.sender import SendSettings, StreamSender
-from facemime.core.streams.settings import PROTOCOLS
+from facemime.core.streams.sender import StreamSender
+from facemime.core.streams.settings import PROTOCOLS, SendSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.takes.file import TakeWriter, load_take
 from facemime.core.takes.from_coefficients import coefficient_face

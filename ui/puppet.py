@@ -87,6 +87,8 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
             layout.prop(output, "key")
         elif output.protocol == "livelink":
             layout.prop(output, "subject")
+        elif output.protocol == "vmc":
+            layout.prop(output, "expressions")
 
 
 class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):

@@ -8,6 +8,7 @@ from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..core.live.camera import list_cameras
 from ..core.streams.settings import OWN, PROTOCOLS
+from ..core.streams.vertices import VERTICES
 from ..operators.puppet import running
 from ..operators.shared import heads_in
 from ..settings.preferences import draw_camera, draw_preview, preferences
@@ -69,8 +70,9 @@ def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
     layout.prop(stream, "delay")
     if stream.protocol == "livelink":
         layout.prop(stream, "angles")
-    if stream.protocol not in (OWN, "openseeface"):
+    if stream.protocol not in (OWN, "openseeface", VERTICES):
         layout.row().prop(stream, "flip", expand=True)
+        layout.prop(stream, "swap")
 
 
 def _draw_senders(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -256,7 +256,10 @@ def filled(job: type[Job], options: Options, **more: Any) -> Job:
 
 
 def add_settings(
-    parser: argparse.ArgumentParser | argparse._ArgumentGroup, group: type, without: Collection[str] = ()
+    parser: argparse.ArgumentParser | argparse._ArgumentGroup,
+    group: type,
+    without: Collection[str] = (),
+    omitted: Mapping[str, str] | None = None,
 ) -> None:
     """Add an option for each setting of a group, named after its field.
 
@@ -267,6 +270,8 @@ def add_settings(
         The group.
     without : collection of str
         Names of fields to leave out.
+    omitted : dict of str to str, optional
+        Numbers whose option is None if it is omitted, and what their help says instead of a default.
     """
     for name, setting in settings_of(group).items():
         if name in without:
@@ -277,11 +282,11 @@ def add_settings(
                 _flag(name), action=argparse.BooleanOptionalAction, default=setting.default, help=summary
             )
             continue
-        default = _shown(setting, setting.default)
+        default, told = setting.default, _shown(setting, setting.default)
+        if omitted is not None and name in omitted:
+            default, told = None, omitted[name]
         more = {"choices": setting.values} if setting.choices else {"metavar": _METAVARS[setting.unit]}
-        parser.add_argument(
-            _flag(name), type=_type_of(setting), default=setting.default, help=f"{summary} ({default})", **more
-        )
+        parser.add_argument(_flag(name), type=_type_of(setting), default=default, help=f"{summary} ({told})", **more)
 
 
 def _type_of(setting: Setting) -> Callable[[str], Any]:

@@ -18,6 +18,8 @@ LOOKS: NDArray[np.intp] = np.array(
     [COEFFICIENT_INDEX[f"eyeLook{direction}{side}"] for side in ("Left", "Right") for direction in _DIRECTIONS]
 )
 """(8,) columns of the coefficients for the direction of the eyes."""
+_PHONE_REACH = np.radians((35.2, 33.0))
+"""Pitch and yaw of an eye in radians at which an iPhone states a coefficient of 1, from 560 of its packets."""
 
 
 def looks_of(rotations: FloatArray) -> FloatArray:
@@ -57,8 +59,35 @@ def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
     angles = np.zeros((2, 2))
     for value, (side, axis, reach) in zip(looks.tolist(), _reaches(), strict=True):
         angles[side, axis] += value * reach
-    right, left = (np.array([atan2(tan(down) * cos(across), 1.0), -across]) for across, down in angles.tolist())
-    return 0.5 * (right + left), float(left[1] - right[1])
+    return gaze_of_eyes(np.array([[atan2(tan(down) * cos(across), 1.0), -across] for across, down in angles.tolist()]))
+
+
+def gaze_of_eyes(eyes: FloatArray) -> tuple[FloatArray, float]:
+    """Return gaze and vergence, as from `gaze_of`, of the `(pitch, yaw)` of the right and left eye, (2, 2)."""
+    return eyes.mean(axis=0), float(eyes[1, 1] - eyes[0, 1])
+
+
+def looks_of_eyes(eyes: FloatArray) -> FloatArray:
+    """Compute the coefficients that a phone states for the directions of the eyes.
+
+    Parameters
+    ----------
+    eyes : (2, 2) float64
+        `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`.
+
+    Returns
+    -------
+    (8,) float64
+        Coefficients in the order of `LOOKS`, 0 to 1.
+    """
+    (right_down, right_in), (left_down, left_in) = (eyes * [[1.0, -1.0], [1.0, 1.0]] / _PHONE_REACH).tolist()
+    ways = [left_in, -left_in, -left_down, left_down, right_in, -right_in, -right_down, right_down]
+    return np.clip(ways, 0.0, 1.0)
+
+
+def eyes_of_gaze(gaze: FloatArray, vergence: float) -> FloatArray:
+    """Return the `(pitch, yaw)` of the right and left eye, (2, 2), that have this gaze and vergence in radians."""
+    return gaze + np.array([[0.0, -0.5], [0.0, 0.5]]) * vergence
 
 
 @lru_cache(maxsize=1)

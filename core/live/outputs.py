@@ -52,7 +52,9 @@ class Output(Protocol):
     def message(self) -> str:
         """Reason why nothing is passed on; otherwise ""."""
 
-    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+    def send(
+        self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int] | None = None
+    ) -> None:
         """Pass on a frame.
 
         Parameters
@@ -63,6 +65,8 @@ class Output(Protocol):
             Result of the performer, smoothed according to the options.
         neutral : Neutral or None
             The performer's neutral face; None if it is not known.
+        size : (int, int), optional
+            Width and height of the image in pixels.
         """
 
     def close(self) -> None:

@@ -58,6 +58,8 @@ class LiveFrame:
         The heads that this performer drives; None for all.
     sender : str
         Name of the sender, in a source with several.
+    size : (int, int) or None
+        Width and height in pixels of the image in which `result` was found, if it is known.
     """
 
     time: float
@@ -71,6 +73,12 @@ class LiveFrame:
     performer: int = 0
     heads: tuple[int, ...] | None = None
     sender: str = ""
+    size: tuple[int, int] | None = None
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Width and height in pixels of the image, or of that in which the result was found; None if unknown."""
+        return self.size if self.image is None else (self.image.shape[1], self.image.shape[0])
 
 
 class LiveSource(ABC):
@@ -284,10 +292,12 @@ class TakePlayer(PacedSource):
     def __init__(self, take: Take, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(name, loop=loop, speed=speed)
         self.complete, self._take = True, take
+        width, height = take.info.get("image_size", (0, 0))
+        self._size = (int(width), int(height)) if width and height else None
         measured = take.info.get("measured") and take.found.any()
         self._neutral = calibrate(take) if measured else None
 
     def frames(self) -> Iterator[LiveFrame]:
         """Iterate over all frames of the take."""
         for index, time in enumerate((self._take.times - self._take.times[0]).tolist()):
-            yield LiveFrame(time, None, self._take.result(index), neutral=self._neutral)
+            yield LiveFrame(time, None, self._take.result(index), neutral=self._neutral, size=self._size)

@@ -319,7 +319,7 @@ class LiveWorker:
         result = performer.add(frame, seen, smoothing=options.smoothing, learn=learn)
         tracked = perf_counter()
         if self.output is not None and performer is self._first:
-            self.output.send(frame.time, result, performer.neutral)
+            self.output.send(frame.time, result, performer.neutral, frame.image_size)
         heads, prepared = self._drivers.drive(self.heads, performer.neutral, result, frame.heads)
         driven = perf_counter()
         for display in self.displays:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from ..capture import check_readable
 from ..errors import SourceError
-from ..takes.coefficient_table import AUTOMATIC, from_any_csv
+from ..takes.coefficient_table import from_any_csv
+from ..takes.table_angles import AUTOMATIC
 from ..takes.table_text import SUFFIXES as TABLES
 from ..takes.table_text import read_decoded, read_table
 from ..takes.take import Take

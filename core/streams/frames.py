@@ -6,7 +6,7 @@ messages are constants, so that a bad packet costs next to nothing.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from typing import Protocol
 
@@ -43,11 +43,15 @@ class FaceValues:
         Pitch, yaw and roll of the head in radians, as in `TrackResult`.
     position : (3,) float64 or None
         Position of the head in metres: axes of the head frame, any origin.
+    eyes : (2, 2) float64 or None
+        `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`; None if they follow
+        from the coefficients.
     """
 
     coefficients: FloatArray
     rotation: FloatArray
     position: FloatArray | None = None
+    eyes: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def checked(face: FaceValues) -> FaceValues:
         and (np.abs(position) <= _MAX_MOVED).all()
     ):
         raise PacketError("a number is impossible")
-    return FaceValues(np.clip(face.coefficients, 0.0, 1.0), face.rotation, face.position)
+    return replace(face, coefficients=np.clip(face.coefficients, 0.0, 1.0))
 
 
 def finite(value: float) -> float:
@@ -168,9 +172,14 @@ def turned(x: float, y: float, z: float) -> FloatArray:
     PacketError
         If an angle is impossible.
     """
-    if not all(abs(finite(angle)) <= _MAX_ANGLE for angle in (x, y, z)):
+    return from_face_axes(possible(x), possible(y), possible(z))
+
+
+def possible(angle: float) -> float:
+    """Return an angle in radians; PacketError if no head or eye turns as far."""
+    if not abs(angle) <= _MAX_ANGLE:
         raise PacketError("an angle is impossible")
-    return from_face_axes(x, y, z)
+    return angle
 
 
 def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:

@@ -14,17 +14,9 @@ from typing import Literal
 import numpy as np
 
 from ..coefficient_names import COEFFICIENT_INDEX
-from ..rotation import to_face_axes
-from .frames import (
-    MAX_SUBJECT,
-    FaceValues,
-    PacketError,
-    StreamFrame,
-    checked,
-    finite,
-    no_coefficients,
-    turned,
-)
+from ..heads.looks import LOOKS, eyes_of_gaze, gaze_of
+from ..takes.live_link_angles import EYES, HEAD, eye_angles, eye_directions, head_angles, head_rotation
+from .frames import MAX_SUBJECT, FaceValues, PacketError, StreamFrame, checked, no_coefficients, possible
 
 PORT = 11111
 Angles = Literal["radians", "degrees", "half-turns"]
@@ -42,9 +34,6 @@ CURVES: tuple[str, ...] = (
     *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
 )
 """The coefficients in the order of this protocol; nine angles follow."""
-TURNS = ("HeadYaw", "HeadPitch", "HeadRoll")
-EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
-"""Names of the nine angles in Live Link Face's tables."""
 _COLUMNS = np.array([COEFFICIENT_INDEX[name] for name in CURVES])
 _VERSIONS = range(6, 10)
 _LENGTH = struct.Struct(">I")
@@ -81,15 +70,14 @@ class LiveLinkDecoder:
         rest = data[at + _TIME.size :]
         if not rest:
             return [StreamFrame(None, subject, time)]
-        if len(rest) != _FACE.size or rest[0] != len(CURVES) + len(TURNS) + len(EYES):
+        if len(rest) != _FACE.size or rest[0] != len(CURVES) + len(HEAD) + len(EYES):
             raise PacketError("not 61 values")
         values = _FACE.unpack(rest)[1:]
         coefficients = no_coefficients()
         coefficients[_COLUMNS] = values[:52]
-        yaw, pitch, roll = (finite(value) * self._unit for value in values[52:55])
-        for value in values[55:]:
-            finite(value)
-        return [StreamFrame(checked(FaceValues(coefficients, turned(pitch, yaw, roll))), subject, time)]
+        angles = np.array([possible(value * self._unit) for value in values[52:]])
+        face = FaceValues(coefficients, head_rotation(*angles[:3].tolist()), eyes=eye_directions(angles[3:]))
+        return [StreamFrame(checked(face), subject, time)]
 
 
 def encode(face: FaceValues | None, time: float, *, subject: str, device: str, rate: int = 60) -> bytes:
@@ -116,8 +104,9 @@ def encode(face: FaceValues | None, time: float, *, subject: str, device: str, r
     head += _TIME.pack(int(whole) & 0xFFFFFFFF, part, rate, 1)
     if face is None:
         return head
-    pitch, yaw, roll = to_face_axes(face.rotation)
-    return head + _FACE.pack(61, *face.coefficients[_COLUMNS].tolist(), yaw, pitch, roll, *[0.0] * 6)
+    eyes = eyes_of_gaze(*gaze_of(face.coefficients[LOOKS])) if face.eyes is None else face.eyes
+    values = face.coefficients[_COLUMNS].tolist()
+    return head + _FACE.pack(61, *values, *head_angles(face.rotation), *eye_angles(eyes))
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

@@ -22,13 +22,11 @@ from ..tracking.result import TrackResult
 from .frames import PacketError, StreamFrame, to_quaternion
 
 PORT = 11573
-IMAGE_SIZE = (1280, 720)
-"""Width and height in pixels of the image that is stated when sending."""
 _FACE = struct.Struct("<di2f2fBf4f3f3f")
 _BYTES = _FACE.size + 4 * (68 + 2 * 68 + 3 * 70 + 14)
 _MAX_FACES = 4
-_UNIT = 0.74
-"""Distance between the outer eye corners of OpenSeeFace's own head, in its arbitrary unit."""
+_UNIT = 0.63181
+"""Distance between the outer eye corners of OpenSeeFace's own face, to whose width it scales all faces."""
 _PIXELS, _UNITS = 1e5, 100.0
 """Largest coordinates in an image, and of points on a face."""
 _MIN_SCALE = 1e-3
@@ -141,7 +139,7 @@ def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
     return np.array([scale, *matrix_to_euler(turn), *place])
 
 
-def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> bytes:
+def encode(result: TrackResult, time: float, size: tuple[int, int], rest: FloatArray | None = None) -> bytes:
     """Encode a face.
 
     Parameters
@@ -150,6 +148,8 @@ def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> 
         Result with a face.
     time : float
         Time in seconds.
+    size : (int, int)
+        Width and height of the image in pixels.
     rest : (66, 3) float64, optional
         Neutral shape, from which the openings of eyes and mouth are measured; by default that of `result`.
 
@@ -172,10 +172,10 @@ def encode(result: TrackResult, time: float, rest: FloatArray | None = None) -> 
     opened = np.clip(eye_apertures(result.shape) / np.maximum(eye_apertures(rest), 1e-3), 0.0, 1.0)
     turned = _CAMERA @ turn
     angles = cv2.RQDecomp3x3(turned)[0]
-    depth = IMAGE_SIZE[0] * _UNIT / float(result.pose[0])
-    x, y = depth * (result.pose[4:] - np.array(IMAGE_SIZE) / 2.0) / IMAGE_SIZE[0]
+    depth = size[0] * _UNIT / float(result.pose[0])
+    x, y = depth * (result.pose[4:] - np.array(size) / 2.0) / size[0]
     head = _FACE.pack(
-        *(time, 0, *map(float, IMAGE_SIZE), *opened.tolist(), 1, 0.0),
+        *(time, 0, *map(float, size), *opened.tolist(), 1, 0.0),
         *to_quaternion(turned.T),  # OpenSeeFace's convention
         *angles,
         *(-float(y), -float(x), -depth),
@@ -196,15 +196,18 @@ def _eyes(places: FloatArray, result: TrackResult) -> FloatArray:
 
 
 def _features(shape: FloatArray, rest: FloatArray, opened: FloatArray) -> FloatArray:
-    """Features for programs without landmarks, (14,): openings of eyes and mouth, heights of brows and corners."""
+    """Features for programs without landmarks, (14,): openings of eyes and mouth, heights of brows, corners below the
+    upper lip.
+    """
 
-    def height(rows: NDArray[np.intp]) -> float:
-        return float(np.clip(4.0 * (rest[rows, 1] - shape[rows, 1]).mean(), -1.0, 1.0))
+    def raised(rows: NDArray[np.intp]) -> float:
+        return float(4.0 * (rest[rows, 1] - shape[rows, 1]).mean())
 
-    right, left = from_ibug(range(17, 22)), from_ibug(range(22, 27))
-    corners = [height(MOUTH_CORNERS[[side]]) for side in (1, 0)]
+    lip = raised(from_ibug([50, 51, 52]))
+    corners = np.clip([lip - raised(MOUTH_CORNERS[[side]]) for side in (1, 0)], -1.0, 1.0).tolist()
+    left, right = np.clip([raised(from_ibug(rows)) for rows in (range(22, 27), range(17, 22))], -1.0, 1.0).tolist()
     wide = np.linalg.norm(np.subtract(*shape[MOUTH_CORNERS])) / np.linalg.norm(np.subtract(*rest[MOUTH_CORNERS])) - 1.0
     gap = float(np.clip(2.0 * (mouth_aperture(shape) - mouth_aperture(rest)), 0.0, 1.0))
-    brows = [0.0, height(left), 0.0, 0.0, height(right), 0.0]
+    brows = [0.0, left, 0.0, 0.0, right, 0.0]
     mouth = [corners[0], 0.0, corners[1], 0.0, gap, float(np.clip(2.0 * wide, -1.0, 1.0))]
     return np.array([opened[1] - 1.0, opened[0] - 1.0, *brows, *mouth])

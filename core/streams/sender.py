@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import socket
 from contextlib import suppress
-from dataclasses import dataclass
-from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -14,17 +12,19 @@ from ..arrays import FloatArray
 from ..bake.arkit import FrameCoefficients
 from ..drive.settings import DriveSettings
 from ..errors import SourceError
+from ..heads.looks import eyes_of_gaze
 from ..rotation import euler_to_matrix, matrix_to_euler
+from ..takes.from_animation import IMAGE_SIZE
 from ..takes.from_coefficients import coefficient_face
-from ..takes.neutral import Neutral
+from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
-from .addresses import LOOPBACK, cannot_send, is_loopback, resolve
-from .frames import FaceValues, PacketError
+from .addresses import cannot_send, resolve
+from .frames import MAX_DATAGRAM, FaceValues, PacketError
 from .security import read_key
 from .sessions import OwnSender
-from .settings import OWN
+from .settings import EXPRESSIONS, OWN, SendSettings
 
 SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
 """Protocols that can be sent, and their labels."""
@@ -33,38 +33,10 @@ VTUBE_STUDIO = "vtubestudio"
 _PORTS = {OWN: datagram.PORT, "vmc": vmc.PORT, "livelink": live_link.PORT, "openseeface": openseeface.PORT}
 _HELLO_EVERY = (0.25, 1.0)
 """Seconds between handshakes, before and after the receiver has answered."""
+_MAX_ANSWERS = 64
+"""Most answers that are read before a frame is sent."""
 _DEFAULTS = DriveSettings()
 _DEVICE = "00000000-0000-4000-8000-666163656d65"
-
-
-@dataclass(frozen=True)
-class SendSettings:
-    """Destination of a stream.
-
-    Attributes
-    ----------
-    protocol : str
-        One of `SENT`.
-    host : str
-        Name or address of the receiver.
-    port : int
-        Port; 0 for the usual one.
-    key : Path or None
-        File with the shared key of Facemime's own protocol.
-    subject : str
-        Name under which Live Link Face shows the face.
-    """
-
-    protocol: str = OWN
-    host: str = LOOPBACK
-    port: int = 0
-    key: Path | None = None
-    subject: str = "Facemime"
-
-    @property
-    def is_local(self) -> bool:
-        """Whether nothing leaves this computer."""
-        return is_loopback(self.host)
 
 
 class FaceMeasure:
@@ -74,23 +46,6 @@ class FaceMeasure:
         self._neutral: Neutral | None = None
         self._made_for: tuple[int, DriveSettings] | None = None
         self._coefficients: FrameCoefficients | None = None
-
-    def mirrored(self, result: TrackResult, options: DriveSettings) -> TrackResult:
-        """Mirror a result if the options say so.
-
-        Parameters
-        ----------
-        result : TrackResult
-            The result.
-        options : DriveSettings
-            Whether to mirror.
-
-        Returns
-        -------
-        TrackResult
-            The mirrored result; `result` itself if it has no face or is not to be mirrored.
-        """
-        return mirror_result(result, openseeface.IMAGE_SIZE[0]) if options.mirror and result.found else result
 
     def values(self, result: TrackResult, neutral: Neutral | None, options: DriveSettings) -> FaceValues | None:
         """Measure a face.
@@ -114,9 +69,10 @@ class FaceMeasure:
         if self._coefficients is None or self._made_for != (id(neutral), options):
             self._neutral, self._made_for = neutral, (id(neutral), options)
             self._coefficients = FrameCoefficients(neutral, options)
-        seen = self.mirrored(result, options)
+        seen = mirror_result(result, MIRROR_WIDTH) if options.mirror else result
         own = neutral.mirrored() if options.mirror else neutral
-        return FaceValues(self._coefficients.of(result), turned_from(seen, own), moved_from(seen, own))
+        eyes = eyes_from(seen, own)
+        return FaceValues(self._coefficients.of(result), turned_from(seen, own), moved_from(seen, own), eyes)
 
 
 class StreamSender:
@@ -148,6 +104,10 @@ class StreamSender:
     def __init__(self, settings: SendSettings, options: DriveSettings = _DEFAULTS) -> None:
         if settings.protocol not in SENT:
             raise SourceError(f"There is no protocol {settings.protocol!r} to send. Use one of {', '.join(SENT)}.")
+        if settings.expressions not in EXPRESSIONS:
+            raise SourceError(
+                f"There are no expressions {settings.expressions!r}. Use one of {', '.join(EXPRESSIONS)}."
+            )
         if settings.protocol == OWN and settings.key is None and not settings.is_local:
             raise SourceError("A stream to another computer needs a shared key. Choose the file with the key.")
         self.settings, self.options = settings, options
@@ -158,8 +118,11 @@ class StreamSender:
         self._socket.setblocking(False)
         self._greeted = -np.inf
         self._face = FaceMeasure()
+        self._arkit = settings.expressions == "arkit"
 
-    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+    def send(
+        self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int] | None = None
+    ) -> None:
         """Send a frame.
 
         Parameters
@@ -170,13 +133,15 @@ class StreamSender:
             The result.
         neutral : Neutral or None
             The performer's neutral face, not mirrored. Without one, only Facemime's own protocol and OpenSeeFace send.
+        size : (int, int), optional
+            Width and height of the image in pixels; by default those of the image of faces that are not tracked.
         """
         if self.settings.protocol == OWN:
             self._greet()
             if not self._own.ready:
                 return
         try:
-            packets = self._packets(max(time, 0.0), result, neutral)
+            packets = self._packets(max(time, 0.0), result, neutral, size or IMAGE_SIZE)
             for packet in packets:
                 self._socket.sendto(packet, self._address)
         except ConnectionError:
@@ -193,20 +158,31 @@ class StreamSender:
         """Close the socket. May be called twice."""
         self._socket.close()
 
-    def _packets(self, time: float, result: TrackResult, neutral: Neutral | None) -> list[bytes]:
+    def _packets(self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int]) -> list[bytes]:
         protocol = self.settings.protocol
         if protocol == OWN:
             return [self._own.packet(*datagram.encode_face(result), time)]
         if protocol == "openseeface":
-            mirrored = neutral.mirrored() if neutral is not None and self.options.mirror else neutral
-            rest = None if mirrored is None else mirrored.shape
-            return [openseeface.encode(self._face.mirrored(result, self.options), time, rest)] if result.found else []
+            if not result.found:
+                return []
+            rest = None if neutral is None else (neutral.mirrored() if self.options.mirror else neutral).shape
+            seen = mirror_result(result, size[0]) if self.options.mirror else result
+            return [openseeface.encode(seen, time, size, rest)]
         face = self._face.values(result, neutral, self.options)
         if face is None and (result.found or neutral is None):
             return []
         if protocol == "vmc":
-            return list(vmc.encode(face, time))
+            return list(vmc.encode(face, time, self._expressions()))
         return [live_link.encode(face, time, subject=self.settings.subject, device=_DEVICE)]
+
+    def _expressions(self) -> vmc.Names:
+        """Return the names of the expressions to send: if they are not chosen, those that the receiver answers with."""
+        if self.settings.expressions == "automatic" and not self._arkit:
+            with suppress(BlockingIOError):
+                for _ in range(_MAX_ANSWERS):
+                    data, address = self._socket.recvfrom(MAX_DATAGRAM)
+                    self._arkit = self._arkit or (address[0] == self._address[0] and vmc.has_arkit_names(data))
+        return "arkit" if self._arkit else "vrm"
 
     def _greet(self) -> None:
         """Keep up the handshake, if there is a key."""
@@ -236,6 +212,29 @@ def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
         Pitch, yaw and roll in radians.
     """
     return np.array(matrix_to_euler(euler_to_matrix(*result.pose[1:4]) @ neutral.rotation.T))
+
+
+def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
+    """Compute the directions of the eyes relative to those of a neutral face.
+
+    Parameters
+    ----------
+    result : TrackResult
+        Result with a face.
+    neutral : Neutral
+        The neutral face.
+
+    Returns
+    -------
+    (2, 2) float64 or None
+        `(pitch, yaw)` of the right and the left eye in radians; None if the gaze is unknown.
+    """
+    gaze = result.gaze - neutral.gaze
+    return (
+        eyes_of_gaze(gaze, float(np.nan_to_num(result.vergence - neutral.vergence)))
+        if np.isfinite(gaze).all()
+        else None
+    )
 
 
 def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:

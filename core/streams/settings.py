@@ -1,4 +1,4 @@
-"""Settings of received streams: protocol, source and playout."""
+"""Settings of streams: protocol, source and playout of received ones, and where they are sent."""
 
 from __future__ import annotations
 
@@ -7,8 +7,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import SourceError
-from ..settings import Choice, setting
-from . import datagram, face_cap, face_motion, ifacialmocap, live_link, openseeface, vertices, vmc, vtube_studio
+from ..settings import Choice, setting, settings_of
+from . import (
+    datagram,
+    face_cap,
+    face_motion,
+    ifacialmocap,
+    live_link,
+    openseeface,
+    vertices,
+    vmc,
+    vrcfacetracking,
+    vtube_studio,
+)
 from .addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .face_cap import FaceCapDecoder
 from .frames import Decoder
@@ -20,6 +31,7 @@ from .security import read_key
 from .vertex_decoder import VertexDecoder
 from .vertices import VERTICES
 from .vmc import VmcDecoder
+from .vrcfacetracking import VrcFaceTrackingDecoder
 from .vtube_studio import VTubeStudioDecoder
 
 OWN = "own"
@@ -91,6 +103,8 @@ class StreamSettings:
         Unit of the angles of Live Link Face.
     flip : tuple of {"pitch", "yaw", "roll"}
         Rotations of the head to reverse.
+    swap : bool
+        Whether left and right of the face are exchanged.
     senders : tuple of str
         For each head, the address or name of the sender that drives it; "" for `sender`.
     pairing : Pairing or None
@@ -127,6 +141,11 @@ class StreamSettings:
         ),
     )
     flip: tuple[str, ...] = ()
+    swap: bool = setting(
+        False,
+        "Swap Left and Right",
+        "Exchange left and right of the face, for senders that mirror it; the head's rotation is left to Flip",
+    )
     senders: tuple[str, ...] = ("",)
     pairing: Pairing | None = None
 
@@ -170,6 +189,56 @@ class StreamSettings:
     def secret(self) -> bytes | None:
         """Read the shared key, if there is one; SourceError if it cannot be read."""
         return None if self.key is None or self.pairing is not None else read_key(self.key)
+
+
+@dataclass(frozen=True)
+class SendSettings:
+    """Destination of a stream.
+
+    Attributes
+    ----------
+    protocol : str
+        One of `sender.SENT`.
+    host : str
+        Name or address of the receiver.
+    port : int
+        Port; 0 for the usual one.
+    key : Path or None
+        File with the shared key of Facemime's own protocol.
+    subject : str
+        Name under which Live Link Face shows the face.
+    expressions : {"automatic", "arkit", "vrm"}
+        Names of the expressions that VMC sends.
+    """
+
+    protocol: str = OWN
+    host: str = LOOPBACK
+    port: int = 0
+    key: Path | None = None
+    subject: str = "Facemime"
+    expressions: str = setting(
+        "automatic",
+        "Expressions",
+        "Names of the expressions that move; the others are sent as 0, so that no avatar moves twice as far",
+        choices=(
+            Choice(
+                "automatic",
+                "Automatic",
+                "ARKit's names if the receiver answers that its avatar has them, and otherwise VRM's",
+            ),
+            Choice("arkit", "ARKit Names", "For avatars made for perfect sync, and programs that know ARKit's names"),
+            Choice("vrm", "VRM Expressions", "For all other VRM avatars"),
+        ),
+    )
+
+    @property
+    def is_local(self) -> bool:
+        """Whether nothing leaves this computer."""
+        return is_loopback(self.host)
+
+
+EXPRESSIONS = settings_of(SendSettings)["expressions"].values
+"""Values of `SendSettings.expressions`."""
 
 
 PROTOCOLS: dict[str, StreamProtocol] = {
@@ -224,6 +293,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     ),
     "vmc": StreamProtocol("VMC", vmc.PORT, lambda s: VmcDecoder()),
     "openseeface": StreamProtocol("OpenSeeFace", openseeface.PORT, lambda s: OpenSeeFaceDecoder()),
+    "vrcfacetracking": StreamProtocol("VRCFaceTracking", vrcfacetracking.PORT, lambda s: VrcFaceTrackingDecoder()),
     "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
     VERTICES: StreamProtocol("Vertices", vertices.PORT, lambda s: VertexDecoder(), connected=True),
 }

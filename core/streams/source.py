@@ -12,6 +12,7 @@ from time import perf_counter
 import numpy as np
 
 from ..arrays import FloatArray
+from ..coefficient_names import COEFFICIENT_MIRROR
 from ..live.sources import LiveFrame, LiveSource
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
@@ -282,7 +283,11 @@ class StreamSource(LiveSource):
         if values.position is not None:
             face.origin = values.position if face.origin is None else face.origin
             moved = values.position - face.origin
-        return coefficient_face().result(values.coefficients, values.rotation * self._signs, moved)
+        coefficients, eyes = values.coefficients, values.eyes
+        if self.settings.swap:
+            coefficients = coefficients[COEFFICIENT_MIRROR]
+            eyes = None if eyes is None else eyes[::-1] * (1.0, -1.0)
+        return coefficient_face().result(coefficients, values.rotation * self._signs, moved, eyes)
 
     def _faces(self) -> Iterator[tuple[FaceName, _Face]]:
         for address, sender in tuple(self._senders.items()):

@@ -79,7 +79,9 @@ class TlsSender(Serving):
         """Reason why nothing is sent; otherwise ""."""
         return "" if self.receivers else "No receiver is connected. Paste the pairing line on the other computer."
 
-    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+    def send(
+        self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int] | None = None
+    ) -> None:
         """Send a frame. See `Output.send`."""
         self._call(partial(self._publish, self._own.packet(*datagram.encode_face(result), max(time, 0.0))))
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import lru_cache
+from typing import Literal
 
 import numpy as np
 
 from ..arrays import FloatArray
 from ..bake.key_map import presets
 from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..heads.looks import LOOKS, looks_of_eyes
 from ..rotation import euler_to_matrix, matrix_to_euler
 from . import osc
 from .frames import (
@@ -25,6 +27,8 @@ from .frames import (
 
 PORT, PERFORMER_PORT = 39539, 39540
 """Ports on which avatars, and programs that forward performances, listen."""
+Names = Literal["arkit", "vrm"]
+"""Names of expressions that are sent: ARKit's, or those of VRM."""
 _MAX_BUNDLE = 1400
 """Largest size of a bundle in bytes, which fits into one packet of most networks."""
 _BOTH = {"lookleft": ("eyeLookOutLeft", "eyeLookInRight"), "lookright": ("eyeLookInLeft", "eyeLookOutRight")}
@@ -47,6 +51,10 @@ _SHARES: dict[str, tuple[tuple[str, float], ...]] = {
     **{name: tuple((part, 1.0) for part in parts) for name, parts in _BOTH.items()},
 }
 """VRM's expressions, in lower case, as ARKit's coefficients, for senders that have nothing else."""
+_EYES = ("RightEye", "LeftEye")
+_LEAST_GAZE, _MAX_GAZE = 1e-4, np.radians(60.0)
+"""Smallest angle in radians of eyes that are tracked, as the bones of others are sent without a rotation; and largest,
+as some avatars have eye bones that are turned at rest."""
 _MAX_NAMES, _MAX_NAME = 300, 64
 """Largest number of names that are remembered, and of characters in each."""
 
@@ -56,7 +64,7 @@ class VmcDecoder:
 
     def __init__(self) -> None:
         self._values: dict[str, float] = {}
-        self._bones = {"Neck": np.eye(3), "Head": np.eye(3)}
+        self._bones = {name: np.eye(3) for name in ("Neck", "Head", *_EYES)}
         self._time: float | None = None
         self._tracked = True
 
@@ -83,8 +91,19 @@ class VmcDecoder:
         if not self._tracked:
             return StreamFrame(None, time=self._time)
         turn = self._bones["Neck"] @ self._bones["Head"]
-        face = FaceValues(_coefficients(self._values), np.array(matrix_to_euler(turn)))
+        coefficients, eyes = _coefficients(self._values), self._eyes()
+        if eyes is not None and not coefficients[LOOKS].any():
+            coefficients[LOOKS] = looks_of_eyes(eyes)
+        face = FaceValues(coefficients, np.array(matrix_to_euler(turn)), eyes=eyes)
         return StreamFrame(checked(face), time=self._time)
+
+    def _eyes(self) -> FloatArray | None:
+        """Return pitch and yaw of the right and left eye; None if the bones do not show them."""
+        turns = np.stack([self._bones[name] for name in _EYES])
+        down, across = np.arcsin(np.clip(-turns[:, 1, 2], -1.0, 1.0)), np.arctan2(turns[:, 0, 2], turns[:, 2, 2])
+        eyes = np.stack([down, across], axis=1)
+        size = np.abs(eyes).max()
+        return eyes if _LEAST_GAZE < size < _MAX_GAZE else None
 
     def _value(self, arguments: tuple[osc.Argument, ...]) -> None:
         if len(arguments) != 2:
@@ -108,7 +127,8 @@ class VmcDecoder:
 def _coefficients(values: dict[str, float]) -> FloatArray:
     coefficients = no_coefficients()
     known = {column: value for name, value in values.items() if (column := column_of(name)) is not None}
-    if known:
+    # A sender for both kinds of avatar sends the names of one kind as 0.
+    if any(known.values()):
         coefficients[list(known)] = list(known.values())
         return coefficients
     for name, value in values.items():
@@ -117,7 +137,17 @@ def _coefficients(values: dict[str, float]) -> FloatArray:
     return coefficients
 
 
-def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
+def has_arkit_names(data: bytes) -> bool:
+    """Return whether a datagram, which a program sends about its avatar, has ARKit's names of expressions."""
+    try:
+        messages = osc.decode(data)
+    except PacketError:
+        return False
+    values = (arguments for address, arguments in messages if address == "/VMC/Ext/Blend/Val" and arguments)
+    return any(column_of(str(name)) is not None for name, *_ in values)
+
+
+def encode(face: FaceValues | None, time: float, names: Names = "arkit") -> Iterator[bytes]:
     """Encode a frame as bundles, as 52 values exceed a packet. The message that applies them comes last.
 
     Parameters
@@ -126,16 +156,15 @@ def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
         None if there is no face.
     time : float
         Time in seconds.
+    names : {"arkit", "vrm"}
+        ARKit's names with a capital, as used by avatars made for *perfect sync*; or, for all other avatars, the
+        expressions of VRM 1 and VRM 0, by Facemime's key mappings. The other names are sent as 0, as an avatar that has
+        both would move twice as far.
 
     Yields
     ------
     bytes
         A datagram.
-
-    Notes
-    -----
-    Sends ARKit's names with a capital, as used by avatars made for *perfect sync*, and for all other avatars the
-    expressions of VRM 1 and VRM 0, by Facemime's key mappings.
     """
     messages = [
         osc.encode_message("/VMC/Ext/OK", 1, 3, 0, int(face is not None)),
@@ -144,9 +173,11 @@ def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
     if face is not None:
         turn = to_quaternion(euler_to_matrix(*face.rotation))
         messages.append(osc.encode_message("/VMC/Ext/Bone/Pos", "Head", 0.0, 0.0, 0.0, *turn))
-        names, gains, offsets = _expressions()
+        expressions, gains, offsets = _expressions()
         values = np.clip(gains @ face.coefficients + offsets, 0.0, 1.0)
-        for name, value in zip(names, values.tolist(), strict=True):
+        is_arkits = np.arange(len(expressions)) < N_COEFFICIENTS
+        values[is_arkits != (names == "arkit")] = 0.0
+        for name, value in zip(expressions, values.tolist(), strict=True):
             messages.append(osc.encode_message("/VMC/Ext/Blend/Val", name, value))
     messages.append(osc.encode_message("/VMC/Ext/Blend/Apply"))
     return osc.encode_bundles(messages, _MAX_BUNDLE)
@@ -154,7 +185,7 @@ def encode(face: FaceValues | None, time: float) -> Iterator[bytes]:
 
 @lru_cache(maxsize=1)
 def _expressions() -> tuple[tuple[str, ...], FloatArray, FloatArray]:
-    """Return names of the expressions of VRM 0, VRM 1 and ARKit, and gains (E, 52) and offsets (E,) of each."""
+    """Return names of the expressions of ARKit, VRM 1 and VRM 0, and gains (E, 52) and offsets (E,) of each."""
     gains = {name[0].upper() + name[1:]: row for name, row in zip(COEFFICIENTS, np.eye(N_COEFFICIENTS), strict=True)}
     offsets = dict.fromkeys(gains, 0.0)
     for table in presets():

@@ -174,7 +174,9 @@ class VTubeStudioSender(Connecting):
         self._found = self._fresh = False
         self._thread.start()
 
-    def send(self, time: float, result: TrackResult, neutral: Neutral | None) -> None:
+    def send(
+        self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int] | None = None
+    ) -> None:
         """Send a frame. See `Output.send`."""
         face = self._measure.values(result, neutral, self.options)
         with self._news:

@@ -6,11 +6,10 @@ Columns are found by name, as at least three orders are in use.
 from __future__ import annotations
 
 import csv
-import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import islice
-from math import floor, pi
+from math import floor
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +21,12 @@ from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS,
 from ..errors import SourceError
 from ..files import replacing
 from ..reading import shown
-from ..rotation import from_face_axes, to_face_axes
 from ..tracking.result import TrackResult
 from .from_animation import IMAGE_SIZE
 from .from_coefficients import coefficient_face
+from .live_link_angles import EYES, HEAD, eye_angles, head_angles
 from .spreadsheet import from_csv
+from .table_angles import AUTOMATIC, angle_of, poses_of, unit_of_angles
 from .table_text import TextTable, read_table
 from .table_times import is_title_of_time, times_of_rows
 from .take import Take, TakeRecorder, describe
@@ -40,12 +40,8 @@ _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Cells without a number, as other programs write them, in lower case."""
 _MOST = 5.0
 """A coefficient above this is a percentage: exaggerated ones reach 2."""
-_AXES = ("yaw", "pitch", "roll")
-_ANGLE = re.compile(r"head(?:rotation)?(yaw|pitch|roll)(d|deg|degrees?|r|rad|radians?)?")
-"""Titles of the rotation of the head, and its unit, as letters in lower case."""
-AUTOMATIC, RADIANS, DEGREES = "automatic", "radians", "degrees"
-_FURTHEST = np.radians([100.0, 80.0, 70.0])
-"""Yaw, pitch and roll, in radians, beyond which no head turns while its face is tracked."""
+_DECIMALS = 12
+"""Decimals of a number, with which a float32 of a coefficient above 0.0001 is the same again."""
 _FEW, _SHORT = 0.02, 10
 """Share of rows that may be left out, and rows below which none may: a table of a few rows is refused instead."""
 LIVE_LINK_ORDER: tuple[str, ...] = (
@@ -60,7 +56,6 @@ LIVE_LINK_ORDER: tuple[str, ...] = (
     *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
 )
 """The order of coefficients in Live Link Face's tables, which differs from that in its packets."""
-_EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))
 
 
 def from_any_csv(path: Path, angles: str = AUTOMATIC) -> Take:
@@ -85,15 +80,16 @@ def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
 
     Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or parts of them;
     or follow from numbers of frames, or from 1/30 s between rows. Rows whose time does not increase are left out if
-    they are few. `HeadYaw`, `HeadPitch` and `HeadRoll` are radians, or degrees if any exceeds what a head can turn.
-    Other columns are ignored, and coefficients without a column are 0; a missing value is interpolated, and a row
-    without any is a frame without a face. What was decided is in ``info["notes"]``.
+    they are few. `HeadYaw` to `HeadRoll` and `LeftEyeYaw` to `RightEyeRoll` are those of Live Link Face; for their
+    unit, see `unit_of_angles`. Without those of the eyes, the gaze follows from the coefficients. Other columns are
+    ignored, and coefficients without a column are 0; a missing value is interpolated, and a row without any is a frame
+    without a face. What was decided is in ``info["notes"]``.
 
     Parameters
     ----------
     path : Path
     angles : {"automatic", "radians", "degrees"}
-        Unit of the rotation of the head.
+        Unit of the angles.
 
     Raises
     ------
@@ -112,7 +108,14 @@ def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
 
 
 def write_coefficient_csv(
-    path: Path, times: FloatArray, values: FloatArray, rotations: FloatArray, *, live_link: bool, rate: float = 60.0
+    path: Path,
+    times: FloatArray,
+    values: FloatArray,
+    rotations: FloatArray,
+    eyes: FloatArray | None = None,
+    *,
+    live_link: bool,
+    rate: float = 60.0,
 ) -> None:
     """Write a table of coefficients.
 
@@ -126,6 +129,9 @@ def write_coefficient_csv(
         Coefficients in the order of `COEFFICIENTS`.
     rotations : (N, 3) float64
         Pitch, yaw and roll of the head relative to neutral in radians, as in `TrackResult`.
+    eyes : (N, 2, 2) float64, optional
+        `(pitch, yaw)` of the right and the left eye relative to neutral in radians, as for the gaze in `TrackResult`;
+        by default 0. Only Live Link Face's columns have them.
     live_link : bool
         Whether to write Live Link Face's columns, with a timecode, rather than a column of seconds and ARKit's names.
     rate : float
@@ -139,15 +145,15 @@ def write_coefficient_csv(
     order = LIVE_LINK_ORDER if live_link else COEFFICIENTS
     places = [COEFFICIENT_INDEX[name] for name in order]
     names = [name[0].upper() + name[1:] for name in order] if live_link else list(order)
-    turns = ["HeadYaw", "HeadPitch", "HeadRoll"]
-    head = ["Timecode", "BlendShapeCount", *names, *turns, *_EYES] if live_link else ["time", *names, *turns]
+    head = ["Timecode", "BlendShapeCount", *names, *HEAD, *EYES] if live_link else ["time", *names, *HEAD]
+    looks = np.zeros((len(times), 2, 2)) if eyes is None else eyes
     with replacing(Path(path)) as temporary, open(temporary, "w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream)
         table.writerow(head)
-        for time, row, turn in zip(times.tolist(), values[:, places], rotations, strict=True):
-            numbers = [f"{value:.9f}" for value in (*row, *_yaw_first(turn))]
+        for time, row, turn, look in zip(times.tolist(), values[:, places], rotations, looks, strict=True):
             begin = [timecode(time, rate), "61"] if live_link else [repr(time)]
-            table.writerow([*begin, *numbers, *(["0.000000000"] * len(_EYES) if live_link else [])])
+            angles = (*head_angles(turn), *(eye_angles(look) if live_link else ()))
+            table.writerow([*begin, *(f"{value:.{_DECIMALS}f}" for value in (*row, *angles))])
 
 
 def timecode(time: float, rate: float) -> str:
@@ -169,11 +175,6 @@ def timecode(time: float, rate: float) -> str:
     frames, part = divmod(whole, 1000)
     seconds, frame = divmod(frames, round(rate))
     return f"{seconds // 3600:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}:{frame:02d}.{part:03d}"
-
-
-def _yaw_first(rotation: FloatArray) -> tuple[float, float, float]:
-    pitch, yaw, roll = to_face_axes(rotation)
-    return yaw, pitch, roll
 
 
 def _columns(head: Sequence[str]) -> dict[int, int]:
@@ -201,7 +202,7 @@ def _take(table: TextTable, name: str, angles: str) -> Take:
         warning = f"{count} of {total} rows repeat an earlier time and were left out."
         notes.append(warning)
     values, found = _values(rows, table.head, columns, notes)
-    take = _recorded(times, values, _turns(rows, table.head, angles, notes), found, name)
+    take = _recorded(times, values, _poses(rows, table.head, values, angles, notes), found, name)
     return replace(take, info=take.info | ({"notes": notes} if notes else {}))
 
 
@@ -234,24 +235,20 @@ def _between(values: FloatArray) -> FloatArray:
     return np.interp(np.arange(len(values)), np.flatnonzero(there), values[there]) if there.any() else 0.0 * there
 
 
-def _turns(rows: list[list[str]], head: Sequence[str], angles: str, notes: list[str]) -> FloatArray:
-    """Return (N, 3) yaw, pitch and roll of the head in radians; add the unit in which they were read to `notes`."""
-    turns, stated = np.zeros((len(rows), 3)), ""
+def _poses(
+    rows: list[list[str]], head: Sequence[str], values: FloatArray, angles: str, notes: list[str]
+) -> Iterator[tuple[FloatArray, FloatArray | None]]:
+    """Yield the rotation of the head and the directions of the eyes of each row; add their unit to `notes`."""
+    turns, stated = np.zeros((len(rows), len(HEAD) + len(EYES))), ""
     for column, title in enumerate(head):
-        if (matched := _ANGLE.fullmatch(re.sub(r"[\W_]", "", title.lower()))) is not None:
-            turns[:, _AXES.index(matched[1])] = _between(_numbers(rows, column, title))
-            stated = {"d": DEGREES, "r": RADIANS}.get((matched[2] or " ")[0], stated)
+        if (known := angle_of(title)) is not None:
+            turns[:, known[0]] = _between(_numbers(rows, column, title))
+            stated = known[1] or stated
+    unit = (stated or unit_of_angles(turns, values)) if angles == AUTOMATIC else angles
     if turns.any():
-        unit = (stated or _unit(turns)) if angles == AUTOMATIC else angles
-        turns *= pi / 180.0 if unit == DEGREES else 1.0
-        warning = f"The rotation of the head was read as {unit}."
+        warning = f"The angles were read as {unit}."
         notes.append(warning)
-    return turns
-
-
-def _unit(turns: FloatArray) -> str:
-    """Return the unit of yaw, pitch and roll of a head, (N, 3): radians, unless it would turn too far."""
-    return DEGREES if (np.abs(turns).max(axis=0) > _FURTHEST).any() else RADIANS
+    return zip(*poses_of(turns, unit), strict=True)
 
 
 def _increasing(times: FloatArray) -> NDArray[np.bool_]:
@@ -263,15 +260,21 @@ def _increasing(times: FloatArray) -> NDArray[np.bool_]:
     return np.asarray(kept)
 
 
-def _recorded(times: FloatArray, values: FloatArray, turns: FloatArray, found: NDArray[np.bool_], name: str) -> Take:
+def _recorded(
+    times: FloatArray,
+    values: FloatArray,
+    poses: Iterator[tuple[FloatArray, FloatArray | None]],
+    found: NDArray[np.bool_],
+    name: str,
+) -> Take:
     rate = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else _RATE
     face = coefficient_face()
     recorder = TakeRecorder(
         describe(name, min(max(rate, 1e-3), 1e5), IMAGE_SIZE, "coefficients")
         | {"measured": True, "calibration": face.neutral.to_dict()}
     )
-    for time, row, turn, seen in zip(times.tolist(), values, turns, found, strict=True):
-        result = face.result(row, from_face_axes(float(turn[1]), float(turn[0]), float(turn[2])))
+    for time, row, (turn, eyes), seen in zip(times.tolist(), values, poses, found, strict=True):
+        result = face.result(row, turn, eyes=eyes)
         recorder.append(time, result if seen else TrackResult.nothing(len(result.shape_params)))
     return recorder.finish()
 

@@ -13,7 +13,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..coefficient_names import FITTED, N_COEFFICIENTS
 from ..heads.built_in import load_head
-from ..heads.looks import LOOKS, gaze_of
+from ..heads.looks import LOOKS, gaze_of, gaze_of_eyes
 from ..landmarks import outer_eye_distance
 from ..rotation import euler_to_matrix
 from ..tracking.result import TrackResult
@@ -39,7 +39,13 @@ class CoefficientFace:
         shut = np.zeros(N_COEFFICIENTS)
         self.neutral = replace(_at_rest(self._rest), gaze=gaze_of(shut[LOOKS])[0], vergence=0.0)
 
-    def result(self, values: FloatArray, rotation: FloatArray, moved: FloatArray | None = None) -> TrackResult:
+    def result(
+        self,
+        values: FloatArray,
+        rotation: FloatArray,
+        moved: FloatArray | None = None,
+        eyes: FloatArray | None = None,
+    ) -> TrackResult:
         """Return the result of an ideal tracker.
 
         Parameters
@@ -50,6 +56,9 @@ class CoefficientFace:
             Pitch, yaw and roll of the head in radians, as in `TrackResult`.
         moved : (3,) float64, optional
             Translation of the head from rest: head frame, metres.
+        eyes : (2, 2) float64, optional
+            `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`; by default they
+            follow from the coefficients.
 
         Returns
         -------
@@ -57,9 +66,9 @@ class CoefficientFace:
             The result, with the coefficients and the pose-free shape that they produce.
         """
         pose = pose_of(euler_to_matrix(*rotation), np.zeros(3) if moved is None else np.asarray(moved) / self.unit)
-        return self.posed(np.clip(values, 0.0, 1.0), pose)
+        return self.posed(np.clip(values, 0.0, 1.0), pose, eyes)
 
-    def posed(self, values: FloatArray, pose: FloatArray) -> TrackResult:
+    def posed(self, values: FloatArray, pose: FloatArray, eyes: FloatArray | None = None) -> TrackResult:
         """Return the result of an ideal tracker for a known pose.
 
         Parameters
@@ -68,6 +77,8 @@ class CoefficientFace:
             Coefficients in the order of `COEFFICIENTS`, from 0 to 1.
         pose : (6,) float64
             As in `TrackResult`.
+        eyes : (2, 2) float64, optional
+            As for `result`.
 
         Returns
         -------
@@ -75,7 +86,7 @@ class CoefficientFace:
             As for `result`.
         """
         shape = self._rest + np.tensordot(values[FITTED], self._units, 1)
-        gaze, vergence = gaze_of(values[LOOKS])
+        gaze, vergence = gaze_of(values[LOOKS]) if eyes is None else gaze_of_eyes(eyes)
         return TrackResult.exact(shape, pose, gaze=gaze, vergence=vergence, coefficients=values)
 
 

@@ -19,7 +19,8 @@ from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.streams.live_link import LiveLinkDecoder
 from facemime.core.streams.pairing import Pairing
-from facemime.core.streams.sender import SendSettings, StreamSender
+from facemime.core.streams.sender import StreamSender
+from facemime.core.streams.settings import SendSettings
 from facemime.core.streams.tls_server import TlsSender
 from facemime.core.streams.vertices import VertexSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv

@@ -55,7 +55,7 @@ def test_live_link_faces_own_table_is_read_by_name_past_midnight(written):
     for name, value in (("eyeBlinkRight", 0.1), ("jawRight", 0.2), ("jawLeft", 0.3), ("jawOpen", 0.4)):
         assert take.coefficients[0, COEFFICIENT_INDEX[name]] == pytest.approx(value)
     assert take.info["measured"] and take.found.all()
-    assert take.pose[0, 1] > 0.15 and take.pose[0, 2] < -0.05  # pitch down, yaw to the performer's left
+    assert take.pose[0, 1] < -0.15 and take.pose[0, 2] < -0.05  # pitch up, yaw to the performer's left
 
 
 @pytest.mark.parametrize("live_link", [True, False])
@@ -68,6 +68,61 @@ def test_a_table_survives_writing_and_reading(tmp_path, live_link):
     np.testing.assert_allclose(take.coefficients, values, atol=1e-7)
     np.testing.assert_allclose(take.pose[:, 1:4], turns, atol=1e-6)
     np.testing.assert_allclose(arkit_coefficients(take, calibrate(take)), values, atol=1e-7)
+
+
+def test_angles_of_the_eyes_are_read_and_written_again(tmp_path):
+    times, values, turns = sines()
+    eyes = 0.4 * np.sin(np.arange(len(times))[:, None, None] / 5.0 + np.array([[0.0, 1.0], [0.0, 1.2]]))
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, eyes, live_link=True)
+    assert main(["import", str(tmp_path / "a.csv"), "-o", str(tmp_path / "a.facetake")]) == 0
+    assert main(["export", str(tmp_path / "a.facetake"), "-o", str(tmp_path / "b.csv"), "--columns", "livelink"]) == 0
+    first, second = (list(csv.reader((tmp_path / f"{name}.csv").open())) for name in "ab")
+    assert first[0][-6:] == [
+        "LeftEyeYaw",
+        "LeftEyePitch",
+        "LeftEyeRoll",
+        "RightEyeYaw",
+        "RightEyePitch",
+        "RightEyeRoll",
+    ]
+    angles = [np.array([row[-6:] for row in rows[1:]], float) for rows in (first, second)]
+    assert np.abs(angles[0]).max(axis=0).min() > 0.05
+    np.testing.assert_allclose(angles[1], angles[0], atol=2e-4)
+    np.testing.assert_allclose(load_take(tmp_path / "a.facetake").gaze, eyes.mean(axis=1), atol=1e-4)
+
+
+def test_a_take_that_is_exported_and_imported_is_the_same(tmp_path):
+    times, values, turns = sines()
+    eyes = 0.3 * np.sin(np.arange(len(times))[:, None, None] / 5.0 + np.array([[0.0, 1.0], [0.0, 1.2]]))
+    write_coefficient_csv(tmp_path / "0.csv", times, values, turns, eyes, live_link=True)
+    takes = []
+    for number in range(2):
+        path = tmp_path / f"{number}.facetake"
+        assert main(["import", str(tmp_path / f"{number}.csv"), "-o", str(path)]) == 0
+        takes.append(load_take(path))
+        out = str(tmp_path / f"{number + 1}.csv")
+        assert main(["export", str(path), "-o", out, "--columns", "livelink"]) == 0
+    for name in ("times", "coefficients", "pose", "gaze", "vergence"):
+        np.testing.assert_array_equal(getattr(takes[1], name), getattr(takes[0], name), err_msg=name)
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("radians", 1.0), ("degrees", 180.0 / np.pi)])
+@pytest.mark.parametrize("largest", [0.5, 1.0, 20.0])
+def test_the_eyes_tell_the_unit_of_a_head_that_hardly_turns(tmp_path, unit, scale, largest):
+    times, values, _ = sines()
+    down = 0.61 * (values[:, COEFFICIENT_INDEX["eyeLookDownLeft"]] - values[:, COEFFICIENT_INDEX["eyeLookUpLeft"]])
+    eyes = np.stack([down, np.zeros(len(times))], axis=1)[:, None].repeat(2, axis=1)
+    for side in ("Down", "Up"):
+        values[:, COEFFICIENT_INDEX[f"eyeLook{side}Right"]] = values[:, COEFFICIENT_INDEX[f"eyeLook{side}Left"]]
+    turns = np.radians([0.0, largest, 0.0]) * np.sin(np.arange(len(times)) / 6)[:, None]
+    write_coefficient_csv(tmp_path / "a.csv", times, values, turns, eyes, live_link=True)
+    head, *rows = csv.reader((tmp_path / "a.csv").open())
+    scaled = [[*row[:-9], *(f"{scale * float(cell):.9f}" for cell in row[-9:])] for row in rows]
+    (tmp_path / "b.csv").write_text("\n".join(map(",".join, [head, *scaled])))
+    take = from_coefficient_csv(tmp_path / "b.csv")
+    assert unit in take.info["notes"][-1]
+    np.testing.assert_allclose(take.pose[:, 1:4], turns, atol=1e-6)
+    np.testing.assert_allclose(take.gaze, eyes[:, 0], atol=1e-4)
 
 
 def test_the_exported_header_is_live_link_faces(tmp_path):

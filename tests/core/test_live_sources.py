@@ -143,6 +143,7 @@ def test_unreadable_images_are_skipped_unless_all_are(tmp_path):
 def test_a_take_is_played_without_images():
     take = performance()
     frames = played(TakePlayer(take, "take", speed=20.0))
+    assert all(frame.image_size == tuple(take.info["image_size"]) for frame in frames)
     assert all(frame.image is None for frame in frames)
     last = frames[-1]
     index = int(np.argmin(np.abs(take.times - take.times[0] - last.time)))

@@ -20,8 +20,8 @@ from facemime.cli.main import main
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.live_link import LiveLinkDecoder
-from facemime.core.streams.sender import SENT, SendSettings, StreamSender
-from facemime.core.streams.settings import PROTOCOLS
+from facemime.core.streams.sender import SENT, StreamSender
+from facemime.core.streams.settings import PROTOCOLS, SendSettings
 from facemime.core.streams.vertices import VERTICES
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
@@ -36,7 +36,7 @@ def sent_and_received(tmp_path: Path, protocol: str, source: Path, *more: object
     line = [*START, "receive", "--protocol", protocol, "--listen", f":{port}", "-o", out, *more]
     with subprocess.Popen([*map(str, line)], stderr=subprocess.PIPE, text=True) as receiver:
         _wait_for(port)
-        to = ("--to", f"127.0.0.1:{port}", "--protocol", protocol, "--smoothing", 0)
+        to = ("--to", f"127.0.0.1:{port}", "--protocol", protocol, "--expressions", "arkit")
         sending = run("send", "--video", source, *to, *more)
         assert sending.returncode == 0, sending.stderr
         time.sleep(0.5)

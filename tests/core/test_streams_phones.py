@@ -2,6 +2,8 @@
 
 import json
 import struct
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 from stream_values import ANGLES, SHARES, distinct, value_of
 
 from facemime.core.coefficient_names import COEFFICIENTS
-from facemime.core.rotation import from_face_axes
+from facemime.core.heads.looks import LOOKS, eyes_of_gaze, gaze_of
+from facemime.core.rotation import euler_to_matrix, from_face_axes
 from facemime.core.streams import ifacialmocap, live_link, osc, vtube_studio
 from facemime.core.streams.face_cap import NAMES, FaceCapDecoder
 from facemime.core.streams.frames import (
@@ -21,6 +24,10 @@ from facemime.core.streams.frames import (
 from facemime.core.streams.ifacialmocap import IFacialMocapDecoder
 from facemime.core.streams.live_link import CURVES, LiveLinkDecoder
 from facemime.core.streams.vtube_studio import VTubeStudioDecoder
+from facemime.core.takes.from_coefficients import coefficient_face
+
+RECORDING = Path(__file__).parents[2].parent / "shared" / "data" / "streams" / "livelink_iphone.udp"
+"""Packets that a real iPhone sent."""
 
 # Live Link Face
 
@@ -43,13 +50,78 @@ def test_live_link_face_is_read_as_published():
     assert value_of(frame.face, "jawOpen") == pytest.approx(0.18)
     assert value_of(frame.face, "tongueOut") == pytest.approx(0.52)
     yaw, pitch, roll = 0.1, 0.2, 0.3
-    np.testing.assert_allclose(frame.face.rotation, from_face_axes(pitch, yaw, roll), atol=1e-6)
+    np.testing.assert_allclose(frame.face.rotation, from_face_axes(-pitch, yaw, roll), atol=1e-6)
+    assert frame.face.eyes is None  # as the angles of the eyes are 0
+
+
+def about(axis: int, angle: float) -> np.ndarray:
+    """Rotation about an axis by the right-hand rule."""
+    turn, (i, j) = np.eye(3), ((1, 2), (2, 0), (0, 1))[axis]
+    turn[i, i] = turn[j, j] = np.cos(angle)
+    turn[j, i], turn[i, j] = np.sin(angle), -np.sin(angle)
+    return turn
+
+
+TO_HEAD = np.diag([1.0, -1.0, -1.0])
+"""From ARKit's axes, to the viewer's right, up and towards the viewer, to those of the head frame, and back."""
+
+
+@pytest.mark.parametrize("angles", [(0.3, 0.2, 0.1), (-0.5, 0.4, -0.2), (0.1, -0.6, 0.3)])
+def test_the_head_turns_as_other_programs_read_arkits_transform(angles):
+    x, y, z = angles
+    turn = about(1, y) @ about(0, x) @ about(2, z)
+    # The formulas with which recorders on iPhones fill in these three values.
+    yaw, pitch = np.arctan2(turn[0, 2], turn[2, 2]), np.arcsin(turn[1, 2])
+    roll = np.arctan2(turn[1, 0], turn[1, 1])
+    (frame,) = LiveLinkDecoder().decode(golden_live_link([0.0] * 52 + [yaw, pitch, roll] + [0.0] * 6))
+    np.testing.assert_allclose(euler_to_matrix(*frame.face.rotation), TO_HEAD @ turn @ TO_HEAD, atol=1e-6)
+
+
+@pytest.mark.parametrize(("down", "left"), [(0.3, 0.1), (-0.2, 0.4), (0.4, -0.5), (0.0, 0.2)])
+def test_the_eyes_look_where_arkits_transforms_of_the_eyes_do(down, left):
+    # As in the phone's recording: no turn about the line of sight, angles about x, then y, then z, and yaw reversed.
+    turn = about(1, left) @ about(0, down)
+    pitch, yaw = np.arctan2(-turn[1, 2], turn[2, 2]), -np.arcsin(turn[0, 2])
+    roll = np.arctan2(-turn[0, 1], turn[0, 0])
+    both = [yaw, pitch, roll] * 2
+    (frame,) = LiveLinkDecoder().decode(golden_live_link([0.0] * 55 + both))
+    np.testing.assert_allclose(frame.face.eyes, [[down, -left]] * 2, atol=1e-6)
+    (again,) = LiveLinkDecoder().decode(live_link.encode(frame.face, 0.0, subject="a", device="b"))
+    np.testing.assert_allclose(again.face.eyes, frame.face.eyes, atol=1e-6)
+    sent = struct.unpack(">61f", live_link.encode(frame.face, 0.0, subject="a", device="b")[-244:])
+    np.testing.assert_allclose(sent[55:], both, atol=1e-6)
+
+
+@pytest.mark.skipif(not RECORDING.is_file(), reason="the recording of ../shared/data is not here")
+def test_a_person_who_holds_the_phone_looks_at_it():
+    looks = []
+    for data in recorded(RECORDING.read_bytes()):
+        (frame,) = LiveLinkDecoder().decode(data)
+        if frame.face is not None:
+            result = coefficient_face().result(frame.face.coefficients, frame.face.rotation, eyes=frame.face.eyes)
+            turn = euler_to_matrix(*result.gaze, 0.0)
+            looks.append((euler_to_matrix(*frame.face.rotation) @ turn)[:, 2])
+    down, aside = np.degrees(np.arcsin(-np.array(looks)[:, 1])), np.degrees(np.arctan2(*np.array(looks)[:, [0, 2]].T))
+    assert len(looks) == 560
+    assert abs(down.mean()) < 2.0 and down.std() < 4.0 and abs(aside.mean()) < 2.0 and aside.std() < 4.0
+
+
+def recorded(data: bytes) -> Iterator[bytes]:
+    """Packets that follow each other without their lengths."""
+    at = 0
+    while at < len(data):
+        start, at = at, at + 1
+        for _ in range(2):
+            at += 4 + struct.unpack_from(">I", data, at)[0]
+        at += 16
+        at += 245 if data[at : at + 1] == b"=" else 0
+        yield data[start:at]
 
 
 @pytest.mark.parametrize(("unit", "scale"), [("radians", 1.0), ("degrees", np.pi / 180.0), ("half-turns", np.pi)])
 def test_the_unit_of_live_link_faces_angles_can_be_chosen(unit, scale):
     (frame,) = LiveLinkDecoder(unit).decode(golden_live_link([0.0] * 52 + [0.0, 0.25, 0.0] + [0.0] * 6))
-    assert frame.face.rotation[0] == pytest.approx(0.25 * scale, abs=1e-6)
+    assert frame.face.rotation[0] == pytest.approx(-0.25 * scale, abs=1e-6)
 
 
 def test_live_link_face_without_values_has_no_face():
@@ -62,7 +134,10 @@ def test_live_link_face_survives_encoding_and_decoding(values, angles, time):
     (frame,) = LiveLinkDecoder().decode(live_link.encode(face, time, subject="a", device="b"))
     np.testing.assert_allclose(frame.face.coefficients, values, atol=1e-7)
     np.testing.assert_allclose(frame.face.rotation, angles, atol=1e-5)
+    gaze, vergence = gaze_of(face.coefficients[LOOKS])
     assert frame.time == pytest.approx(time, abs=1e-4)
+    if frame.face.eyes is not None:
+        np.testing.assert_allclose(frame.face.eyes, eyes_of_gaze(gaze, vergence), atol=1e-5)
 
 
 @pytest.mark.parametrize(

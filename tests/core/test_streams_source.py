@@ -6,6 +6,7 @@ import socket
 import threading
 import time
 from contextlib import closing
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ from clocks import PATIENCE
 from thorough import first_of
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, N_COEFFICIENTS
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import SourceError
 from facemime.core.heads.rig import built_in_rig
@@ -22,8 +23,8 @@ from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams.security import write_key
-from facemime.core.streams.sender import SENT, SendSettings, StreamSender, moved_from, turned_from
-from facemime.core.streams.settings import StreamSettings
+from facemime.core.streams.sender import SENT, StreamSender, moved_from, turned_from
+from facemime.core.streams.settings import SendSettings, StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.timeline import EASE, HOLD
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -41,7 +42,7 @@ RATE = 60.0
 @pytest.mark.parametrize(("protocol", "precision"), [("own", 2e-5), ("vmc", 1e-5), ("livelink", 1e-5)])
 def test_a_recorded_stream_of_coefficients_bakes_to_what_was_sent(opened, tmp_path, protocol, precision):
     take, source = acted(), opened(protocol)
-    sender, neutral = sender_to(source), coefficient_face().neutral
+    sender, neutral = sender_to(source, expressions="arkit"), coefficient_face().neutral
     frames = streamed(source, take, lambda n: sender.send(take.times[n], take.result(n), neutral))
     sender.close()
     saved = recorded(frames, tmp_path / "stream.facetake")
@@ -49,6 +50,23 @@ def test_a_recorded_stream_of_coefficients_bakes_to_what_was_sent(opened, tmp_pa
     np.testing.assert_allclose(arkit_coefficients(saved, calibrate(saved)), take.coefficients, atol=precision)
     np.testing.assert_allclose(saved.pose[:, 1:4], take.pose[:, 1:4], atol=2e-5)
     np.testing.assert_allclose(saved.shape, take.shape, atol=2e-4)
+
+
+def test_left_and_right_of_a_face_can_be_swapped_without_its_rotation(opened):
+    result, shown = acted().result(5), []
+    for swap in (False, True):
+        source = opened("livelink", swap=swap)
+        sender, times = sender_to(source), count()
+        (frame, *_) = collected(
+            source, 1, lambda s=sender, t=times: s.send(next(t) / 60.0, result, coefficient_face().neutral)
+        )
+        sender.close()
+        shown.append(frame.result)
+    plain, swapped = shown
+    np.testing.assert_allclose(swapped.coefficients, plain.coefficients[COEFFICIENT_MIRROR], atol=1e-6)
+    np.testing.assert_allclose(swapped.gaze, plain.gaze * (1.0, -1.0), atol=1e-5)
+    np.testing.assert_allclose(swapped.pose[1:4], plain.pose[1:4], atol=1e-5)
+    assert not np.allclose(swapped.coefficients, plain.coefficients)
 
 
 @pytest.mark.parametrize("protocol", first_of(["own", "openseeface"]))

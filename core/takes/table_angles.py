@@ -1,0 +1,86 @@
+"""Rotations of the head and directions of the eyes in a table of coefficients (docs/takes.md)."""
+
+from __future__ import annotations
+
+import re
+from math import pi
+
+import numpy as np
+
+from ..arrays import FloatArray
+from ..coefficient_names import COEFFICIENT_INDEX
+from .live_link_angles import EYES, HEAD, eye_directions, head_rotation
+
+AUTOMATIC, RADIANS, DEGREES = "automatic", "radians", "degrees"
+_PART = re.compile(r"(head|lefteye|righteye)(?:rotation)?(yaw|pitch|roll)(d|deg|degrees?|r|rad|radians?)?")
+"""Titles of the angles of the head and the eyes, and their unit, as letters in lower case."""
+_ORDER = tuple(name.lower() for name in (*HEAD, *EYES))
+_FURTHEST = np.radians([100.0, 80.0, 70.0])
+"""Yaw, pitch and roll, in radians, beyond which no head turns while its face is tracked."""
+_PER_COEFFICIENT = 4.6
+"""Pitch of an eye per eyeLookDown above which it is in degrees: the geometric mean of 35 degrees, and that in radians,
+which a phone's recording and table have."""
+_LEAST_LOOK, _LEAST_CORRELATION = 0.01, 0.7
+"""Least standard deviation of eyeLookDown - eyeLookUp, and correlation with the pitch, at which that slope counts. The
+correlation is .9997 in a phone's recording."""
+_DOWN, _UP = ([COEFFICIENT_INDEX[f"eyeLook{way}{side}"] for side in ("Left", "Right")] for way in ("Down", "Up"))
+
+
+def angle_of(title: str) -> tuple[int, str] | None:
+    """Return which of the nine angles a column has, and the unit that its title states or ""; None for others."""
+    matched = _PART.fullmatch(re.sub(r"[\W_]", "", title.lower()))
+    if matched is None:
+        return None
+    unit = {"d": DEGREES, "r": RADIANS}.get((matched[3] or " ")[0], "")
+    return _ORDER.index(matched[1] + matched[2]), unit
+
+
+def unit_of_angles(angles: FloatArray, coefficients: FloatArray) -> str:
+    """Decide on the unit of the angles of a whole table.
+
+    Parameters
+    ----------
+    angles : (N, 9) float64
+        Angles in the order of `HEAD` and `EYES`; 0 where there are none.
+    coefficients : (N, 52) float64
+        Coefficients in the order of `COEFFICIENTS`.
+
+    Returns
+    -------
+    {"radians", "degrees"}
+        By the angles of the eyes, if they follow the coefficients in the same row; otherwise radians, unless the head
+        would turn too far.
+    """
+    looks = (coefficients[:, _DOWN] - coefficients[:, _UP]).ravel()
+    pitches = angles[:, [4, 7]].ravel()
+    if looks.std() > _LEAST_LOOK and pitches.std() > 0.0:
+        correlation = abs(float(np.corrcoef(looks, pitches)[0, 1]))
+        if correlation > _LEAST_CORRELATION:
+            return DEGREES if correlation * pitches.std() / looks.std() > _PER_COEFFICIENT else RADIANS
+    return DEGREES if (np.abs(angles[:, :3]).max(axis=0) > _FURTHEST).any() else RADIANS
+
+
+def poses_of(angles: FloatArray, unit: str) -> tuple[FloatArray, list[FloatArray | None]]:
+    """Convert the angles of a table.
+
+    Parameters
+    ----------
+    angles : (N, 9) float64
+        Angles in the order of `HEAD` and `EYES`.
+    unit : {"radians", "degrees"}
+        Their unit.
+
+    Returns
+    -------
+    rotations : (N, 3) float64
+        Pitch, yaw and roll of the head in radians, as in `TrackResult`.
+    eyes : list of N of (2, 2) float64 or None
+        As from `eye_directions`; all None if no row has any.
+    """
+    radians = angles * (pi / 180.0 if unit == DEGREES else 1.0)
+    rotations = np.array([head_rotation(*row) for row in radians[:, :3].tolist()])
+    if not radians[:, 3:].any():
+        return rotations, [None] * len(radians)
+    straight = np.zeros((2, 2))
+    found = [eye_directions(row) for row in radians[:, 3:]]
+    return rotations, [straight if eyes is None else eyes for eyes in found]
