@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,13 +11,8 @@ from numpy.typing import NDArray
 from ..arrays import FloatArray
 from ..bake.key_map import best_preset
 from ..coefficient_names import N_COEFFICIENTS
-from ..takes.from_animation import IMAGE_SIZE
-from ..takes.from_coefficients import coefficient_face
-from ..takes.take import Take, TakeRecorder, describe
-from ..tracking.result import TrackResult
-
-_RATE = 30.0
-"""Rate in Hz of a take with a single frame."""
+from ..takes.coefficient_take import coefficient_take
+from ..takes.take import Take
 
 
 @dataclass(frozen=True)
@@ -94,17 +89,13 @@ def recorded(performance: CoefficientTrack, name: str) -> Take:
         raise ValueError("it has no frames")
     if (np.diff(times) <= 0.0).any():
         raise ValueError("its times do not increase")
-    rate, face = (1.0 / float(np.median(np.diff(times))) if len(times) > 1 else _RATE), coefficient_face()
-    recorder = TakeRecorder(
-        describe(name, min(max(rate, 1e-3), 1e5), IMAGE_SIZE, "coefficients")
-        | {"measured": True, "calibration": face.neutral.to_dict()}
-    )
     still = np.zeros((len(times), 3))
-    rotations = still if performance.rotations is None else performance.rotations
-    positions = still if performance.positions is None else performance.positions
-    found = np.ones(len(times), dtype=bool) if performance.found is None else performance.found
-    for row, time in enumerate(times.tolist()):
-        result = face.result(performance.values[row], rotations[row], positions[row])
-        recorder.append(time, result if found[row] else TrackResult.nothing(len(result.shape_params)))
-    take = recorder.finish()
-    return replace(take, info=take.info | ({"notes": performance.notes} if performance.notes else {}))
+    return coefficient_take(
+        name,
+        times,
+        performance.values,
+        still if performance.rotations is None else performance.rotations,
+        positions=performance.positions,
+        found=performance.found,
+        notes=performance.notes,
+    )

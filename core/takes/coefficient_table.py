@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from itertools import islice
 from math import floor
 from pathlib import Path
@@ -21,21 +20,17 @@ from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS,
 from ..errors import SourceError
 from ..files import replacing
 from ..reading import shown
-from ..tracking.result import TrackResult
-from .from_animation import IMAGE_SIZE
-from .from_coefficients import coefficient_face
+from .coefficient_take import coefficient_take
 from .live_link_angles import EYES, HEAD, eye_angles, head_angles
 from .spreadsheet import from_csv
 from .table_angles import AUTOMATIC, angle_of, poses_of, unit_of_angles
 from .table_text import TextTable, read_table
 from .table_times import is_title_of_time, times_of_rows
-from .take import Take, TakeRecorder, describe
+from .take import Take
 
 _MIN_NAMES = 10
 """Smallest number of known coefficients in a table of coefficients."""
 _MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
-_RATE = 30.0
-"""Rate in Hz of a table with a single row."""
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Cells without a number, as other programs write them, in lower case."""
 _MOST = 5.0
@@ -202,8 +197,8 @@ def _take(table: TextTable, name: str, angles: str) -> Take:
         warning = f"{count} of {total} rows repeat an earlier time and were left out."
         notes.append(warning)
     values, found = _values(rows, table.head, columns, notes)
-    take = _recorded(times, values, _poses(rows, table.head, values, angles, notes), found, name)
-    return replace(take, info=take.info | ({"notes": notes} if notes else {}))
+    turns, eyes = zip(*_poses(rows, table.head, values, angles, notes), strict=True)
+    return coefficient_take(name, times, values, turns, eyes=eyes, found=found, notes=notes)
 
 
 def _values(
@@ -258,25 +253,6 @@ def _increasing(times: FloatArray) -> NDArray[np.bool_]:
     if (~kept).sum() > max(_FEW * len(times), 1.0) or (len(times) < _SHORT and not kept.all()):
         raise ValueError("its times do not increase")
     return np.asarray(kept)
-
-
-def _recorded(
-    times: FloatArray,
-    values: FloatArray,
-    poses: Iterator[tuple[FloatArray, FloatArray | None]],
-    found: NDArray[np.bool_],
-    name: str,
-) -> Take:
-    rate = 1.0 / float(np.median(np.diff(times))) if len(times) > 1 else _RATE
-    face = coefficient_face()
-    recorder = TakeRecorder(
-        describe(name, min(max(rate, 1e-3), 1e5), IMAGE_SIZE, "coefficients")
-        | {"measured": True, "calibration": face.neutral.to_dict()}
-    )
-    for time, row, (turn, eyes), seen in zip(times.tolist(), values, poses, found, strict=True):
-        result = face.result(row, turn, eyes=eyes)
-        recorder.append(time, result if seen else TrackResult.nothing(len(result.shape_params)))
-    return recorder.finish()
 
 
 def _numbers(rows: list[list[str]], column: int, name: str) -> FloatArray:
