@@ -27,6 +27,10 @@ _HARMLESS = {"ARMATURE", "SUBSURF", "MULTIRES", "MASK", "TRIANGULATE", "WELD", "
 """Types of modifiers that add no part of a face that the mesh lacks."""
 
 
+_SELECTIONS = (".select_vert", ".select_edge", ".select_poly")
+"""Attributes of a mesh that hold which vertices, edges and faces are selected."""
+
+
 def require_sound(obj: bpy.types.Object) -> None:
     """Raise HeadError if vertices of the character of `obj` are not at numbers, which are then selected, or half of
     `obj` is mirrored.
@@ -85,9 +89,13 @@ def _infinite(places: NDArray[np.floating]) -> NDArray[np.bool_]:
 
 
 def _select(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
-    """Select only these vertices (V,)."""
-    for elements in (mesh.edges, mesh.polygons):
-        elements.foreach_set("select", np.zeros(len(elements), dtype=bool))
+    """Select only these vertices (V,).
+
+    Blender 5.0 stores a selection of none or all as one value, and crashes when several are written over that.
+    """
+    for name in _SELECTIONS:
+        if (layer := mesh.attributes.get(name)) is not None:
+            mesh.attributes.remove(layer)
     mesh.vertices.foreach_set("select", chosen)
 
 

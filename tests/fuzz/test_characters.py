@@ -73,4 +73,7 @@ def _outcome(command: str, path: Path, folder: Path) -> str:
         return f"a traceback: {done.stderr[-500:]}"
     if done.returncode in (0, 3):
         return "read"
-    return "refused" if done.returncode == 1 and len(told) == 1 else f"status {done.returncode}: {done.stderr[-500:]}"
+    refusals = [line for line in told if "This face is unusual" not in line]  # it comes before the refusal
+    return (
+        "refused" if (done.returncode, len(refusals)) == (1, 1) else f"status {done.returncode}: {done.stderr[-500:]}"
+    )
