@@ -11,6 +11,7 @@ is cut down to the given steps.
 from __future__ import annotations
 
 import io
+import os
 import sys
 import threading
 import traceback
@@ -100,3 +101,5 @@ def main(arguments: list[str]) -> None:
 
 if __name__ == "__main__":
     main(sys.argv[1:])
+    # Blender as a module frees its own panels after Python has ended, and may crash then; Blender's program does not.
+    os._exit(0)
