@@ -82,9 +82,12 @@ def write_curves(
     if not curves:
         return []
     paths = {curve.data_path for curve in curves}
-    if add and keyed_paths(owner) & paths:
+    if add and (beneath := keyed_paths(owner) & paths):
         _push_down(owner, frames)
-        _push(owner, name, frames, curves, add=True)
+        # What is added to no animation would be added to the default of the property, which is not always 0.
+        for added in (True, False):
+            if part := [curve for curve in curves if (curve.data_path in beneath) == added]:
+                _push(owner, name, frames, part, add=added)
         return mute_paths(owner, paths, curves=False)
     muted = mute_paths(owner, paths)
     if nla or muted_paths(owner) & paths or _is_blended(owner):

@@ -184,9 +184,12 @@ def _unposed(owner: Posable, *, animated: bool = False) -> dict[str, Any]:
     moved = curve_paths(owner.id_data)
     if not isinstance(owner, bpy.types.Object) and (data := owner.id_data.animation_data) is not None:
         moved |= {driver.data_path for driver in data.drivers}  # of a bone they are motion, not a placement
-    if _is_baked(owner) or not (animated or moved.isdisjoint(_paths(owner))):
-        return {"mode": "QUATERNION", "location": [0.0] * 3, "rotation": [1.0, 0.0, 0.0, 0.0]}
-    return {"mode": owner.rotation_mode, **_channels(owner)}
+    own, (location, *rotations) = {"mode": owner.rotation_mode, **_channels(owner)}, _paths(owner)
+    if _is_baked(owner) or (location in moved and not animated):
+        own["location"] = [0.0] * 3
+    if _is_baked(owner) or not (animated or moved.isdisjoint(rotations)):
+        own |= {"mode": "QUATERNION", "rotation": [1.0, 0.0, 0.0, 0.0]}
+    return own
 
 
 def _channels(owner: Posable) -> dict[str, Any]:

@@ -328,3 +328,19 @@ def test_a_preview_follows_an_animated_delta_transform_and_leaves_it(mode, kept_
     for place, posed in zip(shown, places(), strict=True):
         np.testing.assert_allclose(posed, place, atol=1e-5)
     again.close()
+
+
+def test_a_delta_location_stays_beside_an_animated_delta_rotation():
+    head, scene = placed_head(), bpy.context.scene
+    for frame, angle in ((1, 0.0), (90, 1.4)):
+        head.delta_rotation_euler = (0.1, 0.0, angle)
+        head.keyframe_insert("delta_rotation_euler", frame=frame)
+    scene.frame_set(40)
+    before = world(head)
+    for settings in (PuppetSettings(), PuppetSettings(translation=True)):
+        puppet_head(scene, head, performance(), settings)
+        scene.frame_set(40)
+        assert np.linalg.norm(world(head)[:3, 3] - before[:3, 3]) < (0.1 if settings.translation else 1e-5)
+    remove_baked(head, own_targets(head))
+    scene.frame_set(40)
+    np.testing.assert_allclose(world(head), before, atol=1e-5)
