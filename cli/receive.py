@@ -24,6 +24,7 @@ from .puppet.tracked import growing, unfinished_beside
 from .terminal.console import Progress, tell
 from .terminal.options import Commands, Options, add_command, add_key_option, add_settings, filled, number
 from .terminal.outputs import outputs_of
+from .terminal.remedies import for_terminal
 from .terminal.stopping import STOPPING
 
 _FLUSH = 1.0
@@ -143,7 +144,7 @@ def record(job: ReceiveJob) -> int:
         finally:
             source.close()
         if not any(counts):
-            raise FacemimeError(f"No data arrived: {_what_came(source)}. Check the address, the port and the firewall.")
+            raise FacemimeError(source.problem)
         for path, output, count in zip(paths, job.outputs, counts, strict=True):
             if count:
                 settle(path, output)
@@ -191,7 +192,7 @@ def _read(source: StreamSource, told: str, *, begun: bool) -> tuple[LiveFrame | 
         message = str(error)  # what came before is recorded, and the sender may come back
         sleep(LOOK)
     if message and message != told:
-        tell(f"facemime: {message}")
+        tell(f"facemime: {for_terminal(message)}")
     return frame, message
 
 

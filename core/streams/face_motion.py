@@ -226,7 +226,7 @@ class FaceMotionReceiver:
             return [], []
         face = _read_frame(schema, payload)
         self._sequence, self._moving = part.sequence, now
-        return [StreamFrame(face if part.flags & _TRACKED else None)], []
+        return [StreamFrame(face if part.flags & _TRACKED else None, sequence=part.sequence)], []
 
     def _whole(self, part: _Part, largest: int) -> bytes | None:
         """Return the payload once all its parts have come; of incomplete messages the newest is kept."""

@@ -183,7 +183,11 @@ def test_a_video_is_tracked_and_sent_without_blender():
 @needs_posix
 def test_receiving_nothing_is_a_clear_error(tmp_path):
     done = run("receive", "--listen", f":{free_port()}", "-o", tmp_path / "a.facetake", "--seconds", 0.3)
-    assert done.returncode == 1 and "No data arrived" in done.stderr and not (tmp_path / "a.facetake").exists()
+    assert (
+        done.returncode == 1
+        and "Nothing arrived at 127.0.0.1:" in done.stderr
+        and not (tmp_path / "a.facetake").exists()
+    )
 
 
 @pytest.mark.parametrize(
