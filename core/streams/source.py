@@ -20,6 +20,7 @@ from ..tracking.result import TrackResult
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
 from .diagnosis import Diagnosis
 from .frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
+from .incoming import Incoming, incoming
 from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone
 from .phone_link import PhoneLink
@@ -38,6 +39,8 @@ _LATE = 0.25
 """Seconds by which a frame may be late before it is skipped."""
 _PATIENCE = 5.0
 """Seconds without any packet after which the message says what to check."""
+_FOLLOWED = 0.05
+"""Share of the difference by which the mean interval between frames follows each of them."""
 _NOTHING = TrackResult.nothing(0)
 
 
@@ -78,6 +81,8 @@ class _Face:
     origin: FloatArray | None = None
     neutral: Neutral | None = None
     counted: tuple[int, int, int] = (0, 0, 0)
+    newest: FaceValues | TrackResult | None = None
+    interval: float = 0.0
 
 
 @dataclass
@@ -148,6 +153,16 @@ class StreamSource(LiveSource):
         """The faces that are arriving now, each as an address and a name."""
         now = self._clock()
         return tuple(label_of(name) for name, face in self._faces() if now - face.heard < SILENT)
+
+    @property
+    def incoming(self) -> list[Incoming]:
+        """The newest frame of each of `senders`, as it came."""
+        now = self._clock()
+        return [
+            incoming(label_of(name), 1.0 / face.interval if face.interval else 0.0, face.newest)
+            for name, face in self._faces()
+            if now - face.heard < SILENT
+        ]
 
     @property
     def problem(self) -> str:
@@ -283,7 +298,9 @@ class StreamSource(LiveSource):
             if len(sender.faces) >= _MAX_SENDERS:
                 sender.faces.pop(min(sender.faces, key=lambda name: sender.faces[name].heard))
             face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay), now)
-        face.heard, face.neutral = now, frame.neutral
+        step = now - face.heard
+        face.interval += (_FOLLOWED if face.interval else 1.0) * (step - face.interval)
+        face.heard, face.neutral, face.newest = now, frame.neutral, frame.face
         face.playout.push(self._result(face, frame.face), frame.time, now, frame.sequence)
         counted = face.playout.late, face.playout.doubled, face.playout.lost
         late, doubled, lost = (new - old for new, old in zip(counted, face.counted, strict=True))

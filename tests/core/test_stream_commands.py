@@ -26,7 +26,7 @@ from facemime.core.streams.vertices import VERTICES
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
-from links import free_port
+from links import free_port, sending_phone
 from takes import coefficient_take, performance
 
 
@@ -178,6 +178,16 @@ def test_a_video_is_tracked_and_sent_without_blender():
             said = sender.stderr.read()
         assert sender.returncode == 0, said
     assert max(opened) > 0.0
+
+
+@needs_posix
+def test_the_values_that_arrive_can_be_watched_without_a_take(tmp_path):
+    port = free_port()
+    with sending_phone(port):
+        done = run("receive", "--protocol", "livelink", "--listen", f":{port}", "--watch", "--seconds", 2)
+    assert done.returncode == 0, done.stderr
+    assert "127.0.0.1 Phone: " in done.stdout and "mouthSmileLeft " in done.stdout
+    assert "frames in" in done.stderr
 
 
 @needs_posix
