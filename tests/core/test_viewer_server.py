@@ -22,6 +22,7 @@ from websockets.sync.client import connect
 
 from facemime.core.errors import ModelError, OutputError, SourceError
 from facemime.core.viewer import page
+from facemime.core.viewer.gate import MAX_STRANGERS
 from facemime.core.viewer.messages import CLOCK, FRAME
 from facemime.core.viewer.qr import as_text, qr_code
 from facemime.core.viewer.server import ViewerServer
@@ -40,10 +41,10 @@ def shown():
     watched.close()
 
 
-def get(address: str, path: str = "", **headers: str) -> tuple[int, dict[str, str], bytes]:
+def get(address: str, path: str = "", method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
     parts = urlsplit(address)
     with closing(http.client.HTTPConnection(parts.hostname, parts.port, timeout=PATIENCE)) as connection:
-        connection.request("GET", parts.path + path, headers=headers)
+        connection.request(method, parts.path + path, headers=headers)
         answer = connection.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read()
 
@@ -92,6 +93,51 @@ def test_without_the_token_nothing_is_found(shown, change):
 @pytest.mark.parametrize("host", ("evil.example", "evil.example:21574", "192.168.1.7", "127.0.0.1.evil.example", ""))
 def test_a_foreign_name_that_resolves_here_is_refused(shown, host):
     assert get(shown.address, Host=host)[0] == 421
+
+
+@pytest.mark.parametrize(
+    "host",
+    (
+        "127.0.0.1:80; script-src *",
+        "localhost:1 evil.example",
+        "localhost:",
+        "localhost:1:2",
+        "[::1]x:5",
+        "local\thost",
+        "localhost, localhost",
+    ),
+)
+def test_a_host_that_is_more_than_a_name_and_a_port_is_refused_rather_than_repeated(shown, host):
+    status, headers, _ = get(shown.address, Host=host)
+    assert status == 421 and not [value for value in headers.values() if host in value]
+
+
+def test_a_request_with_two_hosts_is_refused(shown):
+    parts = urlsplit(shown.address)
+    with socket.create_connection((parts.hostname, parts.port), PATIENCE) as connection:
+        connection.sendall(f"GET {parts.path} HTTP/1.1\r\nHost: localhost\r\nHost: 127.0.0.1\r\n\r\n".encode())
+        assert connection.recv(4096).startswith(b"HTTP/1.1 421 ")
+
+
+@pytest.mark.parametrize("method", ("POST", "PUT", "TRACE", "DELETE", "OPTIONS", "CONNECT", "HEAD", "get"))
+def test_a_page_can_only_be_got(shown, method):
+    status, headers, body = get(shown.address, method=method)
+    assert status == 405 and headers["Allow"] == "GET" and b"viewer.js" not in body
+
+
+@pytest.mark.parametrize("what", (b"", b"GET / HTTP/1.1\r\nHost:", b"\x16\x03\x01\x02\x00", b"GET"))
+def test_strangers_who_say_nothing_give_way_to_a_page(shown, what):
+    parts = urlsplit(shown.address)
+    with ExitStack() as strangers, stream(shown.address) as viewer:
+        kept = []
+        for _ in range(5 * MAX_STRANGERS):
+            kept.append(strangers.enter_context(socket.create_connection((parts.hostname, parts.port), PATIENCE)))
+            kept[-1].sendall(what)
+        assert get(shown.address)[0] == 200
+        shown.show(face(1))
+        messages(viewer, FRAME)
+        assert len(shown.server._gate._guests) <= MAX_STRANGERS + 1
+    wait_for(lambda: not shown.server._gate._guests)
 
 
 @pytest.mark.parametrize("host", ("localhost", "127.0.0.1:5", "[::1]:5", socket.gethostname()))
