@@ -1,6 +1,7 @@
 """The command `serve` in a separate process, and a viewer of it."""
 
 import json
+import re
 import signal
 import socket
 import subprocess
@@ -15,9 +16,9 @@ from websockets.sync.client import connect
 
 from commands import START, needs_posix
 from facemime.cli.main import main
-from facemime.core.viewer.page import PAGE
+from facemime.core.viewer.page import BUILT, PAGE
 
-pytestmark = pytest.mark.skipif(not (PAGE / "three").is_dir(), reason="three.js is missing: make viewer")
+pytestmark = pytest.mark.skipif(not (PAGE / BUILT).is_file(), reason="the page is not built: make viewer")
 
 
 @needs_posix
@@ -50,9 +51,12 @@ def test_hundreds_of_idle_connections_leave_file_descriptors_and_a_page_that_loa
         parts = urlsplit(address)
         for _ in range(300):
             idle.enter_context(socket.create_connection((parts.hostname, parts.port), PATIENCE))
-        for name in ("", "viewer.js", "viewer.css"):
+        with urlopen(address, timeout=PATIENCE) as answer:
+            names = re.findall(r'(?:href|src)="([^"]+)"', answer.read().decode())
+        for name in names:
             with urlopen(address + name, timeout=PATIENCE) as answer:
                 assert answer.status == 200 and answer.read()
+        assert len(names) == 3
         if (descriptors := Path(f"/proc/{server.pid}/fd")).is_dir():
             assert len(list(descriptors.iterdir())) < 128
         server.send_signal(signal.SIGINT)
