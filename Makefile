@@ -8,7 +8,7 @@ export FACEMIME_CACHE := $(CACHE)
 # The tests start commands hundreds of times, so compiled bytecode is kept even if the environment turns that off.
 export PYTHONDONTWRITEBYTECODE :=
 
-VIEWER := assets/viewer/three/three.core.js
+VIEWER := assets/viewer/built/viewer.js
 
 .PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
 
@@ -91,10 +91,10 @@ blenders: setup
 windows:
 	sh tools/windows.sh
 
-# Third-party parts of the viewer's page.
+# The viewer's page, with the third-party parts that it needs.
 viewer: $(VIEWER)
 
-$(VIEWER): requirements/viewer/package-lock.json tools/viewer.sh | setup
+$(VIEWER): requirements/viewer/package-lock.json tools/viewer.sh $(wildcard assets/viewer/*.js assets/viewer/*.css) | setup
 	sh tools/viewer.sh
 	touch $@
 

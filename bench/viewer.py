@@ -30,6 +30,8 @@ _READ = """() => {
     for (let i = 0; i < bytes.length; i += 32768) text += String.fromCharCode(...bytes.subarray(i, i + 32768));
     return btoa(text);
 }"""
+_LOADED = "performance.getEntriesByType('resource').reduce((sum, { transferSize }) => sum + transferSize, 0)"
+"""Bytes that the page has loaded, as they came over the network."""
 _READY = "!!globalThis.viewer && viewer.room && !viewer.loading && viewer.loaded === viewer.stream.scene"
 
 
@@ -44,7 +46,7 @@ class Viewed:
     updates_per_s, moved_per_s : float
         Updates that reached the page, and those that it computed, on a processor in place of a graphics card.
     bytes_per_s, loaded_bytes : float
-        Bytes of the stream per second, and of the head, which is loaded once.
+        Bytes of the stream per second, and of the page and the head, which are loaded once.
     worst_vertex : float
         Largest distance of a vertex from the deformer's, in outer-eye distances.
     latency_ms : float
@@ -91,7 +93,7 @@ def _viewed(browser, take: Take, rig: HeadRig, looks: Appearance, seconds: float
             page.wait_for_timeout(50)
         worst = max(_difference(page, server, driver, take, number) for number in _compared(take))
         rates, latency = _streamed(page, server, driver, take, seconds)
-        loaded = len(server._models[0].data) + sum(map(len, server._models[0].images))
+        loaded = page.evaluate(_LOADED)
         page.close()
     return Viewed(len(rig.vertices), *rates, loaded, worst / rig.eye_distance, latency)
 

@@ -24,6 +24,7 @@ from ..core.tracking.settings import TrackingSettings
 from .terminal.blender import importing_blender
 from .terminal.console import Progress, tell
 from .terminal.options import add_face_option, add_settings, head_file, number
+from .terminal.remedies import for_terminal
 from .terminal.stopping import STOPPING
 from .terminal.takes import load_with_warnings
 
@@ -155,5 +156,5 @@ def watch(worker: LiveWorker, state: Callable[[], tuple[int, str]], progress: Pr
         if (message := worker.message or trouble) != told:
             told = message
             if message:
-                tell(f"facemime: {message}")
+                tell(f"facemime: {for_terminal(message)}")
     progress.update(state()[0])

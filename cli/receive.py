@@ -12,6 +12,7 @@ from ..core.errors import FacemimeError, OutputError, SourceError
 from ..core.files import settle
 from ..core.live.sources import LiveFrame
 from ..core.streams.addresses import LOOPBACK, parse_address
+from ..core.streams.incoming import table
 from ..core.streams.pairing import parse_pairing
 from ..core.streams.security import write_key
 from ..core.streams.settings import AXES, OWN, PROTOCOLS, StreamSettings
@@ -21,9 +22,10 @@ from ..core.takes.from_animation import IMAGE_SIZE
 from ..core.takes.take import describe
 from .performance import LOOK
 from .puppet.tracked import growing, unfinished_beside
-from .terminal.console import Progress, tell
+from .terminal.console import Progress, Screen, tell
 from .terminal.options import Commands, Options, add_command, add_key_option, add_settings, filled, number
 from .terminal.outputs import outputs_of
+from .terminal.remedies import for_terminal
 from .terminal.stopping import STOPPING
 
 _FLUSH = 1.0
@@ -42,11 +44,14 @@ class ReceiveJob:
         The takes.
     seconds : float or None
         Time after which to stop; None for a signal.
+    watch : bool
+        Whether to show the values that arrive.
     """
 
     settings: StreamSettings
     outputs: Sequence[Path]
     seconds: float | None
+    watch: bool = False
 
 
 def add_commands(commands: Commands) -> None:
@@ -83,6 +88,9 @@ def add_commands(commands: Commands) -> None:
     )
     add_settings(receive, StreamSettings)
     receive.add_argument("--flip", default="", metavar="AXIS,...", help="rotations to reverse: pitch, yaw, roll (none)")
+    receive.add_argument(
+        "--watch", action="store_true", help="show the values that arrive, for setting up a phone; -o may be left out"
+    )
     receive.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C)")
     receive.set_defaults(run=run_receive)
 
@@ -100,9 +108,9 @@ def run_receive(options: Options) -> int:
 
 def _job(options: Options) -> ReceiveJob:
     outputs, senders = options["output"] or (), options["sender"]
-    if not outputs:
-        raise OutputError("There is no output. Add -o TAKE.facetake.")
-    if len(senders) > len(outputs):
+    if not outputs and not options["watch"]:
+        raise OutputError("There is no output. Add -o TAKE.facetake, or --watch to only see the values.")
+    if len(senders) > max(len(outputs), 1):
         raise FacemimeError("There are more senders than takes. Add another -o TAKE.facetake.")
     flip = tuple(filter(None, (axis.strip() for axis in options["flip"].split(","))))
     if unknown := set(flip) - set(AXES):
@@ -115,11 +123,12 @@ def _job(options: Options) -> ReceiveJob:
             host=host,
             port=port,
             flip=flip,
-            senders=(*senders, *[""] * (len(outputs) - len(senders))),
+            senders=(*senders, *[""] * (max(len(outputs), 1) - len(senders))),
             pairing=parse_pairing(options["pairing"]) if options["pairing"] else None,
         ),
         outputs,
         options["seconds"],
+        options["watch"],
     )
 
 
@@ -139,12 +148,12 @@ def record(job: ReceiveJob) -> int:
     ):
         paths = [stack.enter_context(growing(path)) for path in unfinished]
         try:
-            counts = _record(source, paths, job.seconds)
+            counts = _record(source, paths, job)
         finally:
             source.close()
         if not any(counts):
-            raise FacemimeError(f"No data arrived: {_what_came(source)}. Check the address, the port and the firewall.")
-        for path, output, count in zip(paths, job.outputs, counts, strict=True):
+            raise FacemimeError(source.problem)
+        for path, output, count in zip(paths, job.outputs, counts, strict=False):  # without outputs, one is counted
             if count:
                 settle(path, output)
             else:
@@ -152,31 +161,39 @@ def record(job: ReceiveJob) -> int:
     return 0
 
 
-def _record(source: StreamSource, paths: Sequence[Path], seconds: float | None) -> list[int]:
-    """Record what comes into a take for each sender; returns their numbers of frames."""
+def _record(source: StreamSource, paths: Sequence[Path], job: ReceiveJob) -> list[int]:
+    """Record what comes into a take for each sender, if there are takes; returns the numbers of frames."""
     progress = Progress(f"Receiving {source.name}")
-    end = monotonic() + (seconds if seconds is not None else float("inf"))
+    end = monotonic() + (job.seconds if job.seconds is not None else float("inf"))
+    screen = Screen() if job.watch else None
+    counts = [0] * max(len(paths), 1)
     writers: dict[int, TakeWriter] = {}
     first, last, told = 0.0, monotonic(), ""
     with STOPPING.noting():
         while not STOPPING.heard and monotonic() < end:
-            frame, told = _read(source, told, begun=bool(writers))
+            frame, told = _read(source, told, begun=any(counts))
             if frame is not None and not frame.filled and frame.result is not None:
                 number = frame.heads[0] if frame.heads else 0
-                first = first if writers else frame.time
-                if number not in writers:
+                first = first if any(counts) else frame.time
+                if paths and number not in writers:
                     writers[number] = TakeWriter(paths[number], _description(source, frame))
                 if frame.time >= first:
-                    writers[number].append(frame.time - first, frame.result)
+                    counts[number] += 1
+                    if paths:
+                        writers[number].append(frame.time - first, frame.result)
             if monotonic() - last > _FLUSH:
                 for writer in writers.values():
                     writer.flush()
                 last = monotonic()
-            progress.update(sum(map(len, writers.values())))
+            if screen is None:
+                progress.update(sum(counts))
+            else:
+                screen.show(table(source.incoming) or told or "Waiting for the first frame")
         for writer in writers.values():
             writer.close()
+    progress.done = sum(counts)
     progress.finish(_what_came(source))
-    return [len(writers[number]) if number in writers else 0 for number in range(len(paths))]
+    return counts
 
 
 def _read(source: StreamSource, told: str, *, begun: bool) -> tuple[LiveFrame | None, str]:
@@ -191,7 +208,7 @@ def _read(source: StreamSource, told: str, *, begun: bool) -> tuple[LiveFrame | 
         message = str(error)  # what came before is recorded, and the sender may come back
         sleep(LOOK)
     if message and message != told:
-        tell(f"facemime: {message}")
+        tell(f"facemime: {for_terminal(message)}")
     return frame, message
 
 

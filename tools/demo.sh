@@ -5,7 +5,7 @@ set -eu
 video=$1
 out=build/demo
 made_from() {
-    { find . -maxdepth 1 -name "*.py"; find cli core blender assets -type f ! -name "*.pyc" ! -path "assets/viewer/three/*"; } | sort | tr "\n" "\0" | xargs -0 cat -- "$video" "$out"/demo.* 2>/dev/null | sha256sum
+    { find . -maxdepth 1 -name "*.py"; find cli core blender assets -type f ! -name "*.pyc" ! -path "assets/viewer/built/*"; } | sort | tr "\n" "\0" | xargs -0 cat -- "$video" "$out"/demo.* 2>/dev/null | sha256sum
 }
 mkdir -p "$out"
 if [ "$(made_from)" = "$(cat "$out/.made-from" 2>/dev/null)" ]; then

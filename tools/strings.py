@@ -44,7 +44,10 @@ _READERS = (
 _REASONS = {"ValueError", "fail", "count", "vectors", "array", "indices", "_need"}
 """Their arguments are reasons, or name what one is about: the latter are methods that read FaceGen's files."""
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
-_FUNCTIONS = {"doubt", "explain_failure", "missing_parts", "summary", "turn_note"}
+_FUNCTIONS = {
+    *("doubt", "explain_failure", "missing_parts", "summary", "turn_note", "problem"),
+    *("nobody_receives", "nothing_came", "_faceless", "_foreign", "_refusal"),
+}
 """Functions that return messages."""
 _TABLES = {
     "MARKS",

@@ -25,6 +25,7 @@ PANELS = {
     "FACEMIME_PT_puppet": f"{_WEBCAM}#start-the-puppet",
     "FACEMIME_PT_pose": f"{_WEBCAM}#start-the-puppet",
     "FACEMIME_PT_send": "streams.html#in-blender",
+    "FACEMIME_PT_incoming": "streams.html#in-blender",
     "FACEMIME_PT_viewer": "viewer.html#in-blender",
     "FACEMIME_PT_bake": f"{_TAKES}#baking",
     "FACEMIME_PT_takes": f"{_TAKES}#in-blender",

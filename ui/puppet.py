@@ -10,8 +10,8 @@ from ..core.streams.settings import OWN
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
 from ..settings.values import whole_file
-from .sidebar import Sidebar, labels, place, side_by_side, split_labels
-from .status import draw_progress, status_lines
+from .sidebar import Sidebar, is_narrow, labels, place, side_by_side, split_labels
+from .status import draw_progress, received, status_lines
 
 
 class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
@@ -91,6 +91,29 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
             layout.prop(output, "expressions")
 
 
+class FACEMIME_PT_incoming(Sidebar, bpy.types.Panel):
+    """The values that arrive at this moment, for setting up a phone or another sender."""
+
+    bl_label = "Incoming Values"
+    bl_parent_id = "FACEMIME_PT_puppet"
+    bl_options = {"DEFAULT_CLOSED"}
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a running stream."""
+        return received() is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        source = received()
+        for one in [] if source is None else source.incoming:
+            state = one.pose() if one.found else _("No face in view")
+            labels(self.layout, context, f"{one.sender}: {one.rate:.0f} fps, {state}", "USER")
+            column = self.layout.column_flow(columns=1 if is_narrow(context) else 2, align=True)
+            for name, value in one.rows():
+                column.progress(factor=value, text=f"{name}  {value:.2f}", translate=False)
+
+
 class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
     """Tracking and baking of a whole video or take."""
 
@@ -120,4 +143,4 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
         row.prop(settings, "neutral", text="At", text_ctxt=CONTEXT)
 
 
-CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_send, FACEMIME_PT_bake)
+CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_send, FACEMIME_PT_incoming, FACEMIME_PT_bake)

@@ -7,6 +7,7 @@ import bpy
 from ..blender.messages import interface as _
 from ..core.streams.source import StreamSource
 from ..core.tracking.hidden_mouth import is_hidden
+from ..operators.puppet import running
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
 
@@ -106,6 +107,13 @@ def _who_drives(session: LiveSession, sender: str, heads: tuple[int, ...]) -> st
     shown = session.heads
     names = [shown[head].obj.name for head in heads if head < len(shown) and not shown[head].gone]
     return f"{sender}: {', '.join(names)}" if len(shown) > 1 and names else sender
+
+
+def received() -> StreamSource | None:
+    """Return the stream that drives the running puppet; None if it is driven by something else."""
+    session = running()
+    source = None if session is None else session.worker.source
+    return source if isinstance(source, StreamSource) else None
 
 
 def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:

@@ -15,11 +15,15 @@ export async function whyNot() {
     }
 }
 
-// Start or end a session; `room` is placed in front of the viewer, and brought back at the end.
-export async function toggle(renderer, scene, room) {
+// Start or end a session; `room` is placed in front of the viewer, and brought back at the end. `overlay` is what a
+// phone shows of the page in the session.
+export async function toggle(renderer, scene, room, overlay) {
     const running = renderer.xr.getSession();
     if (running) return running.end();
-    const session = await navigator.xr.requestSession("immersive-ar", { optionalFeatures: ["local-floor", "hand-tracking"] });
+    const session = await navigator.xr.requestSession("immersive-ar", {
+        optionalFeatures: ["dom-overlay"],
+        domOverlay: { root: overlay },
+    });
     const background = scene.background, home = room.group.position.clone();
     renderer.xr.setReferenceSpaceType("local");
     scene.background = null;

@@ -3,6 +3,8 @@
 const ENGLISH = {
     reset: "Reset View",
     immersive: "Augmented Reality",
+    leave: "Leave",
+    view: "3D view. Arrow keys orbit, plus and minus zoom, Home resets the view",
     waiting: "Waiting for a face",
     lost: "The connection is lost. Trying again",
     gone: "The head has changed. Reload the page",
@@ -16,6 +18,8 @@ const ENGLISH = {
 const CHINESE = {
     reset: "重置视图",
     immersive: "增强现实",
+    leave: "退出",
+    view: "3D 视图。方向键环绕，加号和减号缩放，Home 键重置视图",
     waiting: "正在等待人脸",
     lost: "连接已断开，正在重试",
     gone: "头部已更改，请重新加载页面",

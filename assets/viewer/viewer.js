@@ -1,14 +1,19 @@
 // The page: it connects, loads the heads, and draws them.
 
 import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Avatar } from "./avatar.js";
 import { toggle, whyNot } from "./immersive.js";
 import { light, seat } from "./room.js";
 import { Stream } from "./stream.js";
-import { OrbitControls } from "./three/OrbitControls.js";
 import { text } from "./texts.js";
 
 const RATE_OVER = 1000; // milliseconds
+const TURN = Math.PI / 36, CLOSER = 0.9; // by one press of a key: radians, and share of the distance
+const KEYS = {
+    ArrowLeft: [-TURN, 0, 1], ArrowRight: [TURN, 0, 1], ArrowUp: [0, -TURN, 1], ArrowDown: [0, TURN, 1],
+    "+": [0, 0, CLOSER], "=": [0, 0, CLOSER], "-": [0, 0, 1 / CLOSER], _: [0, 0, 1 / CLOSER],
+};
 const place = (name) => document.getElementById(name);
 
 class Viewer {
@@ -31,7 +36,12 @@ class Viewer {
         this.stream = new Stream(new URL("stream", location.href).href.replace(/^http/, "ws"));
         place("reset").textContent = text("reset");
         place("reset").onclick = () => this.frame();
-        place("immersive").textContent = text("immersive");
+        place("picture").ariaLabel = text("view");
+        place("picture").onkeydown = (event) => this.press(event);
+        const name = () => (place("immersive").textContent = text(this.renderer.xr.isPresenting ? "leave" : "immersive"));
+        name();
+        this.renderer.xr.addEventListener("sessionstart", name);
+        this.renderer.xr.addEventListener("sessionend", name);
         place("immersive").onclick = () => this.immerse();
         whyNot().then((reason) => {
             place("immersive").hidden = reason !== "";
@@ -48,9 +58,27 @@ class Viewer {
         this.controls.update();
     }
 
+    // Orbit and zoom by keys.
+    press(event) {
+        if (!this.room || event.ctrlKey || event.metaKey || event.altKey) return;
+        if (event.key === "Home") this.frame();
+        else if (event.key in KEYS) this.orbit(...KEYS[event.key]);
+        else return;
+        event.preventDefault();
+    }
+
+    // Turn the camera round what it looks at, and change its distance by a factor.
+    orbit(aside, down, factor) {
+        const { target } = this.controls;
+        const way = new THREE.Spherical().setFromVector3(this.camera.position.clone().sub(target));
+        way.set(way.radius * factor, way.phi + down, way.theta + aside).makeSafe();
+        this.camera.position.setFromSpherical(way).add(target);
+        this.controls.update();
+    }
+
     async immerse() {
         try {
-            await toggle(this.renderer, this.scene, this.room);
+            await toggle(this.renderer, this.scene, this.room, document.querySelector("footer"));
         } catch (error) {
             place("reason").textContent = error.message;
         }

@@ -61,6 +61,24 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
+class Screen:
+    """A text that is replaced in place on a terminal, and otherwise written once per second."""
+
+    def __init__(self) -> None:
+        self._live = sys.stdout is not None and sys.stdout.isatty()
+        self._shown = float("-inf")
+
+    def show(self, text: str) -> None:
+        """Replace the text; drawn at most five times per second."""
+        now = time.perf_counter()
+        if now - self._shown < (0.2 if self._live else 1.0):
+            return
+        self._shown = now
+        if self._live:
+            print("\x1b[H\x1b[J", end="")
+        say(text)
+
+
 class Progress:
     """A progress line, rewritten in place on a terminal, and otherwise printed once at the end.
 

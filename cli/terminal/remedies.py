@@ -10,6 +10,10 @@ REMEDIES = {
     "Mark the corners of the eyes, and find the face again.": f"Give the corners of the eyes with bind: {_MARKS}.",
     "Mark eyes, nose and mouth.": "Use eyes, nose and mouth.",
     "Mark it again.": "Correct --mark.",
+    "Choose its file under Key.": "Give its file with --key; facemime receive --new-key FILE makes one.",
+    "Choose protocol ": "Choose --protocol ",
+    "Choose one of these senders.": "Choose one of these with --sender.",
+    "listen on 0.0.0.0": "use --listen 0.0.0.0",
     "Mark them again; left and right are the head's own.": "Correct --mark; left and right are the head's own.",
     "Use Open Lips, which cuts the mesh between them, or model a slit.": (
         "Use bind with --cut-open, which cuts the mesh between them, or model a slit."

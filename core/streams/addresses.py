@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import ipaddress
 import socket
 
@@ -9,6 +10,8 @@ from ..errors import OutputError, SourceError
 
 LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
 _ALL = {EVERYWHERE, "::"}
+_UNPRIVILEGED = 1024
+"""First port that systems let every program listen on."""
 
 
 def is_loopback(host: str) -> bool:
@@ -106,10 +109,23 @@ def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
     SourceError
         To be raised.
     """
+    if error.errno == errno.EADDRNOTAVAIL:
+        return SourceError(
+            f"{host} is not an address of this computer. Enter one that it has, or {EVERYWHERE} for all of them."
+        )
+    if error.errno in (errno.EACCES, errno.EPERM) and port < _UNPRIVILEGED:
+        return SourceError(
+            f"This computer does not let programs listen on port {port}. Choose one of {_UNPRIVILEGED} or above."
+        )
     return SourceError(
         f"Cannot listen on {host}:{port} ({error.strerror or error}). "
         "Close the program that uses the port, or choose another port."
     )
+
+
+def nobody_receives(host: str, port: int) -> str:
+    """Return the message for a port that nothing listens on."""
+    return f"No program receives at {bracketed(host)}:{port}. Start it there, or check the address and the port."
 
 
 def cannot_send(host: str, port: int, error: OSError) -> OutputError:

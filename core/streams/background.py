@@ -3,15 +3,54 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import socket
 import threading
 from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 
 from ..closing import Closing
+from .addresses import cannot_listen, resolve
 
 _ENDING = 5.0
 """Seconds that `close` waits for a thread."""
+
+
+def listening(host: str, port: int, waiting: int) -> socket.socket:
+    """Listen on an address.
+
+    Parameters
+    ----------
+    host : str
+        Name or address of this computer.
+    port : int
+        Port; 0 for any free one.
+    waiting : int
+        Number of connections that may wait to be accepted.
+
+    Returns
+    -------
+    socket.socket
+        Socket that does not block.
+
+    Raises
+    ------
+    SourceError
+        If the address cannot be listened on.
+    """
+    family, address = resolve(host, port)
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":  # on Windows, it lets another program listen on the same port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setblocking(False)
+        listener.bind(address)
+        listener.listen(waiting)
+    except OSError as error:
+        listener.close()
+        raise cannot_listen(host, port, error) from error
+    return listener
 
 
 class Connecting(Closing):

@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import FloatArray
 from ..coefficient_names import COEFFICIENT_INDEX
 from . import osc
-from .frames import FaceValues, PacketError, StreamFrame, checked, finite, no_coefficients, turned
+from .frames import FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned
 
 PORT = 8080
 NAMES: tuple[str, ...] = (
@@ -25,8 +25,7 @@ NAMES: tuple[str, ...] = (
 )
 """The coefficients in the order of their numbers in this protocol."""
 _COLUMNS = tuple(COEFFICIENT_INDEX[name] for name in NAMES)
-_COUNTS = {"/HT": 3, "/HR": 3, "/HRQ": 4, "/ELR": 2, "/ERR": 2}
-"""Number of floats in each message that is not a coefficient."""
+_ADDRESSES = ("/W", "/HT", "/HR", "/HRQ", "/ELR", "/ERR")
 
 
 class FaceCapDecoder:
@@ -36,41 +35,30 @@ class FaceCapDecoder:
         self._coefficients = no_coefficients()
         self._rotation: FloatArray = np.zeros(3)
         self._position: FloatArray | None = None
+        self._ends = self._any_value = False
 
     def decode(self, data: bytes) -> list[StreamFrame]:
         """Decode a datagram. See `Decoder.decode`."""
-        messages = osc.decode(data)
-        ends, any_value = osc.is_bundle(data), False
-        for address, arguments in messages:
-            if address == "/W":
-                number = self._value(arguments)
-                any_value, ends = True, ends or number == len(NAMES) - 1
-            elif (count := _COUNTS.get(address)) is not None:
-                self._pose(address, _floats(arguments, count))
-            else:
-                raise PacketError("not Face Cap")
-        if not (ends and any_value):
+        self._ends, self._any_value = osc.is_bundle(data), False
+        osc.read_each(data, self._read)
+        if not (self._ends and self._any_value):
             return []
         return [StreamFrame(checked(FaceValues(self._coefficients.copy(), self._rotation, self._position)))]
 
-    def _value(self, arguments: tuple[osc.Argument, ...]) -> int:
-        if len(arguments) != 2:
-            raise PacketError("not a coefficient")
-        number, value = arguments
-        if type(number) is not int or not 0 <= number < len(NAMES) or not isinstance(value, float):
-            raise PacketError("not a coefficient")
-        self._coefficients[_COLUMNS[number]] = finite(value)
-        return number
-
-    def _pose(self, address: str, values: tuple[float, ...]) -> None:
-        if address == "/HR":
-            self._rotation = turned(*(angle * pi / 180.0 for angle in values))
+    def _read(self, message: osc.Message) -> bool:
+        """Read a message; returns whether it is one of Face Cap."""
+        address, arguments = message
+        if address == "/W":
+            self._value(*osc.numbers(arguments, 2))
+        elif address == "/HR":
+            self._rotation = turned(*(angle * pi / 180.0 for angle in osc.numbers(arguments, 3)))
         elif address == "/HT":
-            self._position = np.array(values) * (1.0, -1.0, -1.0)
+            position = np.array(osc.numbers(arguments, 3)) * (1.0, -1.0, -1.0)
+            self._position = checked(FaceValues(self._coefficients, self._rotation, position)).position
+        return address in _ADDRESSES
 
-
-def _floats(arguments: tuple[osc.Argument, ...], count: int) -> tuple[float, ...]:
-    values = tuple(value for value in arguments if isinstance(value, float))
-    if len(values) != count or len(arguments) != count:
-        raise PacketError("numbers are missing")
-    return values
+    def _value(self, number: float, value: float) -> None:
+        if number not in range(len(NAMES)):
+            raise PacketError("not a coefficient")
+        self._coefficients[_COLUMNS[int(number)]] = value
+        self._any_value, self._ends = True, self._ends or number == len(NAMES) - 1

@@ -50,8 +50,6 @@ STATED = {
     "rotation_unit": "degree",
     "position_unit": "meter",
 }
-_MIN_NAMES = 10
-"""Smallest number of known names in the schema of a face."""
 _PING, _REPAIR, _AGAIN, _REPAIRED, _OVER = 3.0, 3.0, 1.0, 6.5, 12.0
 """Seconds between two pings; seconds without a frame after which the schema is requested and another session may begin;
 between two such requests; until these requests end; and until the session has ended."""
@@ -228,7 +226,7 @@ class FaceMotionReceiver:
             return [], []
         face = _read_frame(schema, payload)
         self._sequence, self._moving = part.sequence, now
-        return [StreamFrame(face if part.flags & _TRACKED else None)], []
+        return [StreamFrame(face if part.flags & _TRACKED else None, sequence=part.sequence)], []
 
     def _whole(self, part: _Part, largest: int) -> bytes | None:
         """Return the payload once all its parts have come; of incomplete messages the newest is kept."""
@@ -359,8 +357,6 @@ def _read_schema(number: int, payload: bytes, nonce: int | None) -> _Schema:
     if not all(isinstance(name, str) and 0 < len(name) <= _MAX_NAME for name in names) or len(set(names)) < len(names):
         raise PacketError("a schema with wrong names")
     columns = np.array([-1 if (column := column_of(name)) is None else column for name in names], dtype=np.intp)
-    if np.count_nonzero(columns >= 0) < _MIN_NAMES:
-        raise PacketError("a schema without a face")
     return _Schema(number, payload, columns, _ENCODINGS[encoding], largest)
 
 

@@ -1,7 +1,8 @@
 """iFacialMocap and Facemotion3d, versions 1 and 2, which are text; for version 3 see `face_motion` (docs/streams.md).
 
 The phone sends only after a start message. A packet is `name-percent|...|` (1) or `name&percent|...|` (2), followed by
-the head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes.
+the head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes. Other programs write
+the same with other white space, more fields, and without a `|` before the `=`, so each part is read by itself.
 """
 
 from __future__ import annotations
@@ -29,36 +30,45 @@ FACEMOTION_STOP = b"StopStreaming_FACEMOTION3D"
 """Datagrams to the same ports that ask the phone to connect, and to end."""
 TCP_END, FACEMOTION_TCP_END = b"___iFacialMocap", b"___FACEMOTION3D"
 """End of each packet over TCP."""
-_VALUE = re.compile(r"([A-Za-z][A-Za-z0-9_]{0,63})[-&](-?\d{1,6}(?:\.\d{1,9})?)")
-_NUMBERS = re.compile(r"=?(head|rightEye|leftEye)#(-?[\d.eE+-]{1,24}(?:,-?[\d.eE+-]{1,24}){2,5})")
-_MAX_PARTS, _MIN_NAMES = 400, 10
-"""Largest number of parts of a packet, and smallest number of known names."""
+_NUMBER = r"[+-]?\d{1,6}(?:\.\d{0,20})?(?:[eE][+-]?\d{1,2})?"
+_VALUE = re.compile(rf"([^-&#]{{1,64}})[-&]({_NUMBER})")
+_HEAD = re.compile(rf"head#({_NUMBER}(?:,{_NUMBER}){{2,5}})")
+_PARTS = re.compile(r"[|=]")
+_TRACKED = "trackingStatus"
+_MAX_PARTS = 5000
+"""Largest number of parts of a packet."""
 
 
 class IFacialMocapDecoder:
-    """Decodes both versions."""
+    """Decodes both versions. A packet without the head leaves it as it was."""
+
+    def __init__(self) -> None:
+        self._head: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     def decode(self, data: bytes) -> list[StreamFrame]:
         """Decode a packet. See `Decoder.decode`."""
-        if len(data) > MAX_DATAGRAM or not data.isascii():
+        if len(data) > MAX_DATAGRAM:
             raise PacketError("not iFacialMocap")
-        parts = data.decode("ascii").removesuffix("|").split("|")
-        if len(parts) > _MAX_PARTS:
-            raise PacketError("too many parts")
-        coefficients, known, poses = no_coefficients(), 0, {}
-        for part in parts:
-            if (value := _VALUE.fullmatch(part)) is not None:
-                if (column := column_of(value[1])) is not None:
-                    coefficients[column] = 0.01 * float(value[2])
-                    known += 1
-            elif (numbers := _NUMBERS.fullmatch(part)) is not None:
-                poses[numbers[1]] = _floats(numbers[2])
-            else:
-                raise PacketError("a part is neither a value nor a pose")
-        head = poses.get("head", ())
-        if known < _MIN_NAMES or len(head) != 6:
-            raise PacketError("the face or its pose is missing")
-        return [StreamFrame(phone_face(coefficients, head))]
+        try:
+            text = data.decode("utf-8")
+        except UnicodeDecodeError:
+            raise PacketError("not iFacialMocap") from None
+        parts = _PARTS.split("".join(text.split()), _MAX_PARTS)
+        values = {entry[1]: entry[2] for part in parts if (entry := _VALUE.fullmatch(part)) is not None}
+        if _TRACKED in values and float(values.pop(_TRACKED)) == 0.0:
+            return [StreamFrame(None)]
+        coefficients, known = no_coefficients(), 0
+        for name, value in values.items():
+            if (column := column_of(name)) is not None:
+                coefficients[column] = 0.01 * float(value)
+                known += 1
+        if not known:
+            raise PacketError("no value of a face")
+        poses = [pose[1] for part in parts if (pose := _HEAD.fullmatch(part)) is not None]
+        head = tuple(map(float, poses[0].split(","))) if poses else self._head
+        face = phone_face(coefficients, head)
+        self._head = head
+        return [StreamFrame(face)]
 
 
 def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> FaceValues:
@@ -69,8 +79,8 @@ def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> Fa
     coefficients : (52,) float64
         Coefficients in the order of `COEFFICIENTS`.
     head : tuple of float
-        Three angles in degrees and a position in metres, in ARKit's axes: to the viewer's right, up, and towards the
-        viewer.
+        Three angles in degrees, and a position in metres unless it is unknown, in ARKit's axes: to the viewer's right,
+        up, and towards the viewer.
 
     Returns
     -------
@@ -83,11 +93,5 @@ def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> Fa
         If a number is impossible.
     """
     rotation = turned(*(angle * pi / 180.0 for angle in head[:3]))
-    return checked(FaceValues(coefficients, rotation, np.array(head[3:]) * (1.0, -1.0, -1.0)))
-
-
-def _floats(text: str) -> tuple[float, ...]:
-    try:
-        return tuple(float(number) for number in text.split(","))
-    except ValueError:
-        raise PacketError("a pose is not numbers") from None
+    position = np.array(head[3:6]) * (1.0, -1.0, -1.0) if len(head) >= 6 else None
+    return checked(FaceValues(coefficients, rotation, position))

@@ -7,24 +7,28 @@ four bytes.
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from math import isfinite
 from typing import NamedTuple
 
 from .frames import MAX_DATAGRAM, PacketError
 
-Argument = int | float | str | bool
+Argument = int | float | str | bool | None
 _BUNDLE = b"#bundle\0"
 _NOW = struct.pack(">Q", 1)
 """The time tag for "immediately"."""
 _NUMBERS = {"i": struct.Struct(">i"), "f": struct.Struct(">f"), "h": struct.Struct(">q"), "d": struct.Struct(">d")}
-_FLAGS = {"T": True, "F": False}
+_FLAGS: dict[str, Argument] = {"T": True, "F": False, "N": None, "I": None, "[": None, "]": None}
+_TEXTS = "sS"
+_OTHER = {"t": 8, "c": 4, "r": 4, "m": 4}
+"""Sizes in bytes of arguments that no program uses for faces."""
 _SIZE = struct.Struct(">i")
 _MAX_DEPTH, _MAX_MESSAGES, _MAX_ARGUMENTS = 4, 512, 32
 
 
 class Message(NamedTuple):
-    """An OSC message: its address and arguments."""
+    """An OSC message: its address and arguments, which are None if they are neither numbers nor texts."""
 
     address: str
     arguments: tuple[Argument, ...]
@@ -87,44 +91,85 @@ def is_bundle(data: bytes) -> bool:
     return data.startswith(_BUNDLE)
 
 
+def numbers(arguments: tuple[Argument, ...], count: int) -> tuple[float, ...]:
+    """Return the first arguments as numbers, which some programs send as integers; PacketError if one is none."""
+    values = [float(value) for value in arguments[:count] if isinstance(value, int | float)]
+    if len(values) != count:
+        raise PacketError("numbers are missing")
+    return tuple(values)
+
+
 def decode(data: bytes) -> list[Message]:
-    """Decode a datagram; PacketError if any part of it is not OSC, or a number in it is not finite."""
+    """Decode a datagram without the messages of its bundles that are damaged; PacketError if nothing of it is OSC."""
     found: list[Message] = []
-    _decode(data, found, 0)
+    if _decode(data, found, 0) and not found:
+        raise PacketError("not OSC")
     return found
 
 
-def _decode(data: bytes, found: list[Message], depth: int) -> None:
-    if not 8 <= len(data) <= MAX_DATAGRAM or len(data) % 4 or depth > _MAX_DEPTH or len(found) >= _MAX_MESSAGES:
+def read_each(data: bytes, read: Callable[[Message], bool]) -> None:
+    """Let a decoder read the messages of a datagram, and leave out those that it cannot.
+
+    Parameters
+    ----------
+    data : bytes
+        The datagram.
+    read : callable
+        Reads a message, and returns whether it belongs to the protocol; PacketError if it is malformed.
+
+    Raises
+    ------
+    PacketError
+        If no message belongs to the protocol, or all are malformed.
+    """
+    messages, known = decode(data), 0
+    for message in messages:
+        with suppress(PacketError):
+            known += read(message)
+    if messages and not known:
+        raise PacketError("no message of this protocol")
+
+
+def _decode(data: bytes, found: list[Message], depth: int) -> int:
+    """Decode a message or a bundle; returns the number of messages that are damaged."""
+    if not 8 <= len(data) <= MAX_DATAGRAM or depth > _MAX_DEPTH or len(found) >= _MAX_MESSAGES:
         raise PacketError("not OSC")
     if not is_bundle(data):
         found.append(_message(data))
-        return
-    at = 16
+        return 0
+    if len(data) < 16:
+        raise PacketError("a bundle is truncated")
+    at, damaged = 16, 0
     while at < len(data):
         if at + 4 > len(data):
             raise PacketError("a bundle is truncated")
         (size,) = _SIZE.unpack_from(data, at)
-        if size < 8 or at + 4 + size > len(data):
+        if size < 0 or at + 4 + size > len(data):
             raise PacketError("a bundle is truncated")
-        _decode(data[at + 4 : at + 4 + size], found, depth + 1)
+        try:
+            damaged += _decode(data[at + 4 : at + 4 + size], found, depth + 1)
+        except PacketError:
+            damaged += 1
         at += 4 + size
-    if len(data) < 16:
-        raise PacketError("a bundle is truncated")
+    return damaged
 
 
 def _message(data: bytes) -> Message:
+    if len(data) % 4:
+        raise PacketError("not an OSC message")
     address, at = _text(data, 0)
-    tags, at = _text(data, at)
+    tags, at = _text(data, at) if at < len(data) else (",", at)  # old programs leave the types out
     if not address.startswith("/") or not tags.startswith(",") or len(tags) > _MAX_ARGUMENTS + 1:
         raise PacketError("not an OSC message")
     arguments: list[Argument] = []
     for tag in tags[1:]:
         value: Argument
-        if tag == "s":
+        if tag in _TEXTS:
             value, at = _text(data, at)
         elif tag in _FLAGS:
             value = _FLAGS[tag]
+        elif tag == "b" or tag in _OTHER:
+            value, at = None, _after(tag, data, at)
         elif (kind := _NUMBERS.get(tag)) is not None and at + kind.size <= len(data):
             (value,), at = kind.unpack_from(data, at), at + kind.size
             if not isfinite(float(value)):
@@ -135,6 +180,16 @@ def _message(data: bytes) -> Message:
     if at != len(data):
         raise PacketError("something follows an OSC message")
     return Message(address, tuple(arguments))
+
+
+def _after(tag: str, data: bytes, at: int) -> int:
+    """Return the byte after an argument that is left out."""
+    size = _OTHER.get(tag, 0)
+    if tag == "b" and at + 4 <= len(data):
+        size = 4 + ((_SIZE.unpack_from(data, at)[0] + 3) & ~3)
+    if size < 4 or at + size > len(data):
+        raise PacketError("an OSC argument is missing")
+    return at + size
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:

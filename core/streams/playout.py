@@ -37,6 +37,7 @@ class _Waiting:
     time: float
     order: int
     result: TrackResult = field(compare=False)
+    sequence: int | None = field(compare=False, default=None)
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,8 @@ class Playout:
     Attributes
     ----------
     late, doubled, lost : int
-        Numbers of frames that came too late, came twice, or are missing.
+        Numbers of frames that came too late, came twice, or are missing; those missing are known only if the sender
+        numbers its frames, as one without numbers may just have become slower.
     """
 
     def __init__(self, delay: float, *, predict: bool = True) -> None:
@@ -135,9 +137,10 @@ class Playout:
         self._interval = _INTERVAL
         self._entered: float | None = None
         self._last: list[Shown] = []
+        self._sequence: int | None = None
         self._predicted = 0
 
-    def push(self, result: TrackResult, time: float | None, arrival: float) -> bool:
+    def push(self, result: TrackResult, time: float | None, arrival: float, sequence: int | None = None) -> bool:
         """Add a frame.
 
         Parameters
@@ -148,6 +151,8 @@ class Playout:
             Time in seconds on the sender's clock; None if packets have no time, so that even intervals are assumed.
         arrival : float
             Time in seconds on this computer's clock.
+        sequence : int, optional
+            Number of the frame, if packets have one.
 
         Returns
         -------
@@ -172,7 +177,7 @@ class Playout:
                 # The smallest of recent steps, as missing frames make others longer.
                 self._interval += (0.3 if step < self._interval else 0.02) * (step - self._interval)
         self._entered = time if self._entered is None else max(time, self._entered)
-        heapq.heappush(self._waiting, _Waiting(time, next(self._order), result))
+        heapq.heappush(self._waiting, _Waiting(time, next(self._order), result, sequence))
         if len(self._waiting) > _MAX_WAITING:
             heapq.heappop(self._waiting)
             self.late += 1
@@ -197,9 +202,10 @@ class Playout:
     def _next(self) -> Shown:
         waiting = heapq.heappop(self._waiting)
         shown = Shown(waiting.time, self._due(waiting.time), waiting.result)
-        if self._last:
-            steps = (shown.time - self._last[-1].time) / self._interval
-            self.lost += max(0, round(steps) - 1) if steps < _MAX_WAITING else 0
+        if self._sequence is not None and waiting.sequence is not None:
+            steps = waiting.sequence - self._sequence
+            self.lost += steps - 1 if 0 < steps < _MAX_WAITING else 0
+        self._sequence = waiting.sequence
         self._last = [*self._last[-1:], shown]
         self._predicted = 0
         return shown

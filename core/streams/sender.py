@@ -20,7 +20,8 @@ from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from . import datagram, live_link, openseeface, vmc
-from .addresses import cannot_send, resolve
+from .addresses import cannot_send, nobody_receives, resolve
+from .casting import Address
 from .frames import MAX_DATAGRAM, FaceValues, PacketError
 from .security import read_key
 from .sessions import OwnSender
@@ -35,6 +36,8 @@ _HELLO_EVERY = (0.25, 1.0)
 """Seconds between handshakes, before and after the receiver has answered."""
 _MAX_ANSWERS = 64
 """Most answers that are read before a frame is sent."""
+_ANSWER = 2.0
+"""Seconds without the answer that nobody receives after which somebody does; some computers answer once per second."""
 _DEFAULTS = DriveSettings()
 _DEVICE = "00000000-0000-4000-8000-666163656d65"
 
@@ -76,7 +79,7 @@ class FaceMeasure:
 
 
 class StreamSender:
-    """Sends tracking results. A receiver that does not listen is no error.
+    """Sends tracking results, whether or not a receiver listens yet.
 
     Parameters
     ----------
@@ -109,13 +112,15 @@ class StreamSender:
                 f"There are no expressions {settings.expressions!r}. Use one of {', '.join(EXPRESSIONS)}."
             )
         if settings.protocol == OWN and settings.key is None and not settings.is_local:
-            raise SourceError("A stream to another computer needs a shared key. Choose the file with the key.")
+            raise SourceError("A stream to another computer needs a shared key. Choose its file under Key.")
         self.settings, self.options = settings, options
         self.sent, self.message = 0, ""
-        family, self._address = resolve(settings.host, settings.port or _PORTS[settings.protocol])
+        self._family, self._address = resolve(settings.host, settings.port or _PORTS[settings.protocol])
         self._own = OwnSender(None if settings.key is None else read_key(settings.key))
-        self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
+        # The receiver of VMC may answer from any port, which a connected socket would not receive.
+        self._listens = settings.protocol == "vmc" and settings.expressions == "automatic"
+        self._socket, self._prober = self._opened(), self._opened()
+        self._absent = self._probed = -np.inf
         self._greeted = -np.inf
         self._face = FaceMeasure()
         self._arkit = settings.expressions == "arkit"
@@ -143,20 +148,26 @@ class StreamSender:
         try:
             packets = self._packets(max(time, 0.0), result, neutral, size or IMAGE_SIZE)
             for packet in packets:
-                self._socket.sendto(packet, self._address)
+                self._put(packet)
+            self._probe(packets)
         except ConnectionError:
-            return  # no receiver listens
+            self._miss()
+            return
         except BlockingIOError:
             return  # the network is busy; the next frame will do
         except OSError as error:
             self.message = str(cannot_send(*self._address, error))
+            self.close()  # the computer may have moved to another network
+            self._socket, self._prober = self._opened(), self._opened()
             return
         self.sent += bool(packets)
-        self.message = ""
+        if perf_counter() - self._absent > _ANSWER:
+            self.message = ""
 
     def close(self) -> None:
-        """Close the socket. May be called twice."""
+        """Close the sockets. May be called twice."""
         self._socket.close()
+        self._prober.close()
 
     def _packets(self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int]) -> list[bytes]:
         protocol = self.settings.protocol
@@ -184,16 +195,62 @@ class StreamSender:
                     self._arkit = self._arkit or (address[0] == self._address[0] and vmc.has_arkit_names(data))
         return "arkit" if self._arkit else "vrm"
 
+    def _opened(self) -> socket.socket:
+        opened = socket.socket(self._family, socket.SOCK_DGRAM)
+        opened.setblocking(False)
+        return opened
+
+    def _miss(self) -> None:
+        """Note that nobody receives."""
+        self._absent, self.message = perf_counter(), nobody_receives(*self._address)
+
+    def _put(self, packet: bytes) -> None:
+        """Send a packet; ConnectionError if the computer has answered that nobody receives the one before."""
+        if self._listens:
+            self._socket.sendto(packet, self._address)
+        else:
+            _send_connected(self._socket, packet, self._address)
+
+    def _probe(self, packets: list[bytes]) -> None:
+        """Repeat a packet now and then on a connected socket, if the others are sent on one that is not."""
+        now = perf_counter()
+        if not self._listens or not packets or now - self._probed < 0.5 * _ANSWER:
+            return
+        self._probed = now
+        try:
+            _send_connected(self._prober, packets[0], self._address)
+        except ConnectionError:
+            self._prober.send(packets[0])
+            raise
+
     def _greet(self) -> None:
         """Keep up the handshake, if there is a key."""
         now = perf_counter()
-        with suppress(OSError, PacketError):
-            while True:
-                self._own.answer(self._socket.recv(512))
+        try:
+            with suppress(BlockingIOError, PacketError):
+                while True:
+                    self._own.answer(self._socket.recv(512))
+        except ConnectionError:
+            self._miss()
+        except OSError:  # some systems cannot receive before anything was sent
+            pass
         if now - self._greeted >= _HELLO_EVERY[self._own.ready] and (hello := self._own.hello()):
             self._greeted = now
-            with suppress(OSError):
-                self._socket.sendto(hello, self._address)
+            try:
+                self._put(hello)
+            except ConnectionError:
+                self._miss()
+            except OSError as error:
+                self.message = str(cannot_send(*self._address, error))
+
+
+def _send_connected(sender: socket.socket, packet: bytes, address: Address) -> None:
+    """Send a packet on a connected socket, as only that one reports that nobody receives."""
+    try:
+        sender.getpeername()
+    except OSError:
+        sender.connect(address)
+    sender.send(packet)
 
 
 def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:

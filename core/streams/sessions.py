@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import secrets
 from dataclasses import dataclass, field
+from enum import Enum
 
 from . import datagram
 from .datagram import HELLO, WELCOME, Packet
@@ -16,8 +17,30 @@ _MAX_ANSWERS = 20.0
 """Largest number of answers to handshakes per second."""
 
 
+class Refusal(Enum):
+    """Why a well-formed packet is not accepted."""
+
+    NO_KEY_HERE = "it is signed, but there is no key"
+    NO_KEY_THERE = "it is not signed"
+    OTHER_KEY = "it is signed with another key"
+    NO_SESSION = "it is of no session"
+    REPLAYED = "it came before"
+    NOT_THE_PHONE = "it is not the phone's"
+    TOO_MANY = "there are too many senders"
+
+
 class RefusedError(PacketError):
-    """A packet is well formed, but not signed with the key, or was replayed."""
+    """A packet is well formed, but not accepted.
+
+    Parameters
+    ----------
+    reason : Refusal
+        Reason.
+    """
+
+    def __init__(self, reason: Refusal) -> None:
+        super().__init__(reason.value)
+        self.reason = reason
 
 
 @dataclass
@@ -53,7 +76,7 @@ class OwnReceiver:
         session = self._session(packet, now)
         frame = datagram.decode_face(packet)
         if not session.window.accept(packet.sequence):
-            raise RefusedError("a packet came twice")
+            raise RefusedError(Refusal.REPLAYED)
         session.heard, session.proved = now, True
         return [frame], []
 
@@ -62,21 +85,23 @@ class OwnReceiver:
         session = self._sessions.get(packet.session)
         if self._key is None:
             if packet.tag:
-                raise RefusedError("signed, but there is no key")
+                raise RefusedError(Refusal.NO_KEY_HERE)
             return session or self._add(packet.session, _Session(None, now))
         if session is None or not packet.tag:
-            raise RefusedError("not signed")
+            raise RefusedError(Refusal.NO_SESSION if packet.tag else Refusal.NO_KEY_THERE)
         # A handshake that may have been replayed changes nothing until a packet proves that it was not.
         for key in (session.key, session.pending):
             if key is not None and is_signed(key, packet.tag, packet.signed):
                 if key is not session.key:
                     session.key, session.pending, session.window = key, None, ReplayWindow()
                 return session
-        raise RefusedError("signed with another key")
+        raise RefusedError(Refusal.OTHER_KEY)
 
     def _welcome(self, packet: Packet, now: float) -> list[bytes]:
-        if self._key is None or not is_signed(self._key, packet.tag, packet.signed):
-            raise RefusedError("a handshake without the key")
+        if self._key is None:
+            raise RefusedError(Refusal.NO_KEY_HERE)
+        if not is_signed(self._key, packet.tag, packet.signed):
+            raise RefusedError(Refusal.OTHER_KEY)
         session = self._sessions.get(packet.session)
         if session is not None and session.key is not None and now - session.heard < _SILENT:
             return []
@@ -104,7 +129,7 @@ class OwnReceiver:
             oldest = min(self._sessions, key=lambda n: (self._sessions[n].proved, self._sessions[n].heard))
             known = self._sessions[oldest]
             if known.proved and session.heard - known.heard < _SILENT:
-                raise RefusedError("too many senders")
+                raise RefusedError(Refusal.TOO_MANY)
             del self._sessions[oldest]
         self._sessions[name] = session
         return session
@@ -145,7 +170,7 @@ class OwnSender:
         sent, answered = packet.body[:NONCE_BYTES], packet.body[NONCE_BYTES:]
         expected = packet.kind == WELCOME and packet.session == self._session and sent == self._nonce
         if self._key is None or not expected or not is_signed(self._key, packet.tag, packet.signed):
-            raise RefusedError("not the receiver's answer")
+            raise RefusedError(Refusal.OTHER_KEY)
         self._signing = session_key(self._key, self._session, sent, answered)
 
     def packet(self, kind: int, body: bytes, time: float) -> bytes:

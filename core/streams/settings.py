@@ -180,7 +180,7 @@ class StreamSettings:
         if self.pairing is not None and self.protocol != OWN:
             raise SourceError("Pairing works only with Facemime's own protocol. Choose Facemime as the protocol.")
         if self.protocol == OWN and self.pairing is None and self.key is None and not self.is_local:
-            raise SourceError("A stream from another computer needs a shared key. Choose the file with the key.")
+            raise SourceError("A stream from another computer needs a shared key. Choose its file under Key.")
         host = self.host
         if protocol.phone_port and not is_loopback(self.phone) and is_loopback(host):
             host = EVERYWHERE

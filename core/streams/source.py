@@ -18,12 +18,14 @@ from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
+from .diagnosis import Diagnosis
 from .frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
+from .incoming import Incoming, incoming
 from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone
 from .phone_link import PhoneLink
 from .playout import Playout, Shown
-from .sessions import OwnReceiver, RefusedError
+from .sessions import OwnReceiver, Refusal, RefusedError
 from .settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
 
@@ -35,6 +37,10 @@ _DRAINED = 512
 """Number of packets that are read before the next frame is shown."""
 _LATE = 0.25
 """Seconds by which a frame may be late before it is skipped."""
+_PATIENCE = 5.0
+"""Seconds without any packet after which the message says what to check."""
+_FOLLOWED = 0.05
+"""Share of the difference by which the mean interval between frames follows each of them."""
 _NOTHING = TrackResult.nothing(0)
 
 
@@ -53,7 +59,7 @@ class StreamCounts:
     flooded : int
         Packets that were not processed because too many came.
     late, doubled, lost : int
-        Frames that came too late, came twice, or are missing.
+        Frames that came too late, came twice, or are missing, as far as the sender numbers them.
     """
 
     received: int = 0
@@ -75,6 +81,8 @@ class _Face:
     origin: FloatArray | None = None
     neutral: Neutral | None = None
     counted: tuple[int, int, int] = (0, 0, 0)
+    newest: FaceValues | TrackResult | None = None
+    interval: float = 0.0
 
 
 @dataclass
@@ -124,6 +132,7 @@ class StreamSource(LiveSource):
         self._clock, self._late = clock, np.inf if every else _LATE
         self._own = OwnReceiver(self.settings.secret()) if self.settings.protocol == OWN else None
         self._phone = Phone(self.settings)
+        self._diagnosis = Diagnosis(self.settings)
         self._signs = np.array([-1.0 if axis in self.settings.flip else 1.0 for axis in AXES])
         self._link = self._open_link()
         self._wake, self._woken = socket.socketpair()
@@ -131,7 +140,7 @@ class StreamSource(LiveSource):
         self._senders: dict[Address, _Sender] = {}
         self.chosen: tuple[str, ...] = self.settings.senders
         self._casting = Casting(self._wanted())
-        self._turn = 0
+        self._turn, self._began = 0, float("inf")
         self._tokens, self._counted = _BURST, 0.0
 
     @property
@@ -146,6 +155,24 @@ class StreamSource(LiveSource):
         return tuple(label_of(name) for name, face in self._faces() if now - face.heard < SILENT)
 
     @property
+    def incoming(self) -> list[Incoming]:
+        """The newest frame of each of `senders`, as it came."""
+        now = self._clock()
+        return [
+            incoming(label_of(name), 1.0 / face.interval if face.interval else 0.0, face.newest)
+            for name, face in self._faces()
+            if now - face.heard < SILENT
+        ]
+
+    @property
+    def problem(self) -> str:
+        """What to change if no face has arrived: the address, the protocol, the key or the sender."""
+        if self.senders and (wanted := ", ".join(filter(None, self._wanted()))):
+            names = ", ".join(self.senders)
+            return f"Faces arrive from {names}, but not from {wanted}. Choose one of these senders."
+        return self._diagnosis.message() or self._diagnosis.nothing_came()
+
+    @property
     def driven(self) -> dict[str, tuple[int, ...]]:
         """The heads that each of `senders` drives."""
         roles = {role.followed: role.heads for role in tuple(self._casting.roles)}
@@ -157,6 +184,7 @@ class StreamSource(LiveSource):
             return None
         self._link.open()
         self._phone.find()
+        self._began = min(self._began, self._clock())
         end = self._clock() + timeout
         while not self._closed:
             now = self._clock()
@@ -207,8 +235,10 @@ class StreamSource(LiveSource):
             came = self._link.receive(now)
             self.message = self._link.message
             if came is None:
-                if self._phone.message and not self._heard(now):
-                    self.message = self.message or self._phone.message
+                if not self._heard(now):
+                    self.message = self.message or self._phone.message or self._diagnosis.message(now)
+                    if not self.counts.received and now - self._began > _PATIENCE:
+                        self.message = self.message or self._diagnosis.nothing_came()
                 return
             self.counts.received += 1
             if self._tokens < 1.0:
@@ -221,14 +251,17 @@ class StreamSource(LiveSource):
         """Process a datagram from any sender."""
         try:
             sender = self._sender(address, now)
-            for frame in self._decoded(sender, data, address, now):
+            frames = self._decoded(sender, data, address, now)
+            for frame in frames:
                 self._add(sender, frame, now)
-        except RefusedError:
-            self.counts.refused += 1
-        except PacketError:
-            self.counts.malformed += 1
+        except PacketError as error:
+            refused = isinstance(error, RefusedError)
+            self.counts.refused += refused
+            self.counts.malformed += not refused
+            self._diagnosis.refuse(error, data, address, now)
         else:
             self.counts.accepted += 1
+            self._diagnosis.accept(address, now, frames=len(frames))
             self._senders.setdefault(address, sender).heard = now
 
     def _decoded(self, sender: _Sender, data: bytes, address: Address, now: float) -> list[StreamFrame]:
@@ -241,13 +274,13 @@ class StreamSource(LiveSource):
 
     def _sender(self, address: Address, now: float) -> _Sender:
         if not self._phone.may_send(address):
-            raise RefusedError("not the phone")
+            raise RefusedError(Refusal.NOT_THE_PHONE)
         if (sender := self._senders.get(address)) is not None:
             return sender
         if len(self._senders) >= _MAX_SENDERS:
             oldest = min(self._senders, key=lambda known: self._senders[known].heard)
             if now - self._senders[oldest].heard < SILENT:
-                raise RefusedError("too many senders")
+                raise RefusedError(Refusal.TOO_MANY)
             del self._senders[oldest]
         return _Sender(self._receiver(), now)
 
@@ -265,8 +298,10 @@ class StreamSource(LiveSource):
             if len(sender.faces) >= _MAX_SENDERS:
                 sender.faces.pop(min(sender.faces, key=lambda name: sender.faces[name].heard))
             face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay), now)
-        face.heard, face.neutral = now, frame.neutral
-        face.playout.push(self._result(face, frame.face), frame.time, now)
+        step = now - face.heard
+        face.interval += (_FOLLOWED if face.interval else 1.0) * (step - face.interval)
+        face.heard, face.neutral, face.newest = now, frame.neutral, frame.face
+        face.playout.push(self._result(face, frame.face), frame.time, now, frame.sequence)
         counted = face.playout.late, face.playout.doubled, face.playout.lost
         late, doubled, lost = (new - old for new, old in zip(counted, face.counted, strict=True))
         face.counted = counted

@@ -14,8 +14,7 @@ from functools import partial
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from . import datagram
-from .addresses import cannot_listen, resolve
-from .background import Serving
+from .background import Serving, listening
 from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
 from .sessions import OwnSender
 
@@ -64,7 +63,7 @@ class TlsSender(Serving):
     def __init__(self, host: str, port: int, context: ssl.SSLContext, token: bytes) -> None:
         self.receivers = self.sent = self.refused = 0
         self._context, self._token = context, token
-        self._listener = _listener(host, port)
+        self._listener = listening(host, port, _MAX_CONNECTIONS)
         super().__init__("facemime-tls")
         self.port = int(self._listener.getsockname()[1])
         self._own = OwnSender(None)
@@ -175,17 +174,3 @@ class TlsSender(Serving):
         self._frame = frame
         for wake in self._wakes:
             wake.set()
-
-
-def _listener(host: str, port: int) -> socket.socket:
-    family, address = resolve(host, port)
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.setblocking(False)
-        listener.bind(address)
-        listener.listen(_MAX_CONNECTIONS)
-    except OSError as error:
-        listener.close()
-        raise cannot_listen(host, port, error) from error
-    return listener

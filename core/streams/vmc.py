@@ -19,7 +19,6 @@ from .frames import (
     PacketError,
     StreamFrame,
     checked,
-    finite,
     from_quaternion,
     no_coefficients,
     to_quaternion,
@@ -55,7 +54,7 @@ _EYES = ("RightEye", "LeftEye")
 _LEAST_GAZE, _MAX_GAZE = 1e-4, np.radians(60.0)
 """Smallest angle in radians of eyes that are tracked, as the bones of others are sent without a rotation; and largest,
 as some avatars have eye bones that are turned at rest."""
-_MAX_NAMES, _MAX_NAME = 300, 64
+_MAX_NAMES, _MAX_NAME = 1000, 64
 """Largest number of names that are remembered, and of characters in each."""
 
 
@@ -70,22 +69,25 @@ class VmcDecoder:
 
     def decode(self, data: bytes) -> list[StreamFrame]:
         """Decode a datagram. See `Decoder.decode`."""
-        frames = []
-        for address, arguments in osc.decode(data):
-            if not address.startswith("/VMC/Ext/"):
-                raise PacketError("not VMC")
-            kind = address.removeprefix("/VMC/Ext/")
-            if kind == "Blend/Val":
-                self._value(arguments)
-            elif kind == "Bone/Pos":
-                self._bone(arguments)
-            elif kind == "T" and arguments and isinstance(arguments[0], float):
-                self._time = arguments[0]
-            elif kind == "OK":
-                self._tracked = len(arguments) < 4 or arguments[3] != 0
-            elif kind == "Blend/Apply":
-                frames.append(self._frame())
+        frames: list[StreamFrame] = []
+        osc.read_each(data, lambda message: self._read(message, frames))
         return frames
+
+    def _read(self, message: osc.Message, frames: list[StreamFrame]) -> bool:
+        """Read a message; returns whether it is one of VMC."""
+        address, arguments = message
+        kind = address.removeprefix("/VMC/Ext/")
+        if kind == "Blend/Val":
+            self._value(arguments)
+        elif kind == "Bone/Pos":
+            self._bone(arguments)
+        elif kind == "T":
+            (self._time,) = osc.numbers(arguments, 1)
+        elif kind == "OK":
+            self._tracked = len(arguments) < 4 or arguments[3] != 0
+        elif kind == "Blend/Apply":
+            frames.append(self._frame())
+        return address.startswith("/VMC/")
 
     def _frame(self) -> StreamFrame:
         if not self._tracked:
@@ -106,22 +108,19 @@ class VmcDecoder:
         return eyes if _LEAST_GAZE < size < _MAX_GAZE else None
 
     def _value(self, arguments: tuple[osc.Argument, ...]) -> None:
-        if len(arguments) != 2:
+        (value,) = osc.numbers(arguments[1:], 1)
+        if not isinstance(arguments[0], str):
             raise PacketError("not an expression")
-        name, value = arguments
-        if not isinstance(name, str) or isinstance(value, str | bool):
-            raise PacketError("not an expression")
-        name = name.lower()[:_MAX_NAME]
+        name = arguments[0].lower()[:_MAX_NAME]
         if name not in self._values and len(self._values) >= _MAX_NAMES:
             raise PacketError("too many expressions")
-        self._values[name] = finite(value)
+        self._values[name] = value
 
     def _bone(self, arguments: tuple[osc.Argument, ...]) -> None:
-        if len(arguments) != 8 or not all(isinstance(value, float) for value in arguments[1:]):
-            raise PacketError("not a bone")
-        if arguments[0] in self._bones:
+        x, y, z, w = osc.numbers(arguments[4:], 4)
+        if (name := arguments[0]) in self._bones:
             # Unity's axes are opposite to those of the head frame, so the matrices are the same.
-            self._bones[str(arguments[0])] = from_quaternion(*(float(value) for value in arguments[4:]))
+            self._bones[str(name)] = from_quaternion(x, y, z, w)
 
 
 def _coefficients(values: dict[str, float]) -> FloatArray:

@@ -25,7 +25,7 @@ PORT = 21412
 """Port of the phone, which answers on a port named in the request."""
 _LEASE = 5
 """Seconds that a request asks for; the phone allows 0.5 to 10."""
-_MAX_ENTRIES, _MIN_NAMES, _MAX_TIME = 200, 10, 1e13
+_MAX_ENTRIES, _MAX_TIME = 1000, 1e13
 
 
 def request(port: int) -> bytes:
@@ -48,17 +48,20 @@ class VTubeStudioDecoder:
         except ValueError:
             raise PacketError("not JSON") from None
         found, stamp = packet.get("FaceFound"), packet.get("Timestamp")
-        if not isinstance(found, bool) or not _is_number(stamp) or not 0 <= stamp <= _MAX_TIME:
-            raise PacketError("the face or the time is missing")
+        if not isinstance(found, bool):
+            raise PacketError("the face is missing")
+        # Programs that send as the phone does leave the time out, or always send 0.
+        time = 1e-3 * stamp if _is_number(stamp) and 0 < stamp <= _MAX_TIME else None
         if not found:
-            return [StreamFrame(None, time=1e-3 * stamp)]
+            return [StreamFrame(None, time=time)]
         coefficients = _coefficients(packet.get("BlendShapes"))
         # Named like the parameters of VTube Studio: x to the performer's left, y down, z as about the axis.
-        x, y, z = _vector(packet.get("Rotation"))
+        x, y, z = _vector(packet.get("Rotation")) or (0.0, 0.0, 0.0)
         rotation = turned(*(angle * pi / 180.0 for angle in (y, x, z)))
         # In centimetres, to the viewer's right, up, and towards the viewer.
-        position = 0.01 * np.array(_vector(packet.get("Position"))) * (1.0, -1.0, -1.0)
-        return [StreamFrame(checked(FaceValues(coefficients, rotation, position)), time=1e-3 * stamp)]
+        place = _vector(packet.get("Position"))
+        position = None if place is None else 0.01 * np.array(place) * (1.0, -1.0, -1.0)
+        return [StreamFrame(checked(FaceValues(coefficients, rotation, position)), time=time)]
 
 
 def _coefficients(entries: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
@@ -67,19 +70,18 @@ def _coefficients(entries: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     coefficients, known = no_coefficients(), 0
     for entry in entries:
         name, value = (entry.get("k"), entry.get("v")) if isinstance(entry, dict) else (None, None)
-        if not isinstance(name, str) or not _is_number(value):
-            raise PacketError("a value has no name or number")
-        if (column := column_of(name)) is not None:
+        if isinstance(name, str) and _is_number(value) and (column := column_of(name)) is not None:
             coefficients[column] = value
             known += 1
-    if known < _MIN_NAMES:
+    if not known:
         raise PacketError("the values are missing")
     return coefficients
 
 
-def _vector(value: Any) -> tuple[float, float, float]:
+def _vector(value: Any) -> tuple[float, float, float] | None:
+    """Return a vector; None if it is missing."""
     if not isinstance(value, dict) or not all(_is_number(value.get(axis)) for axis in "xyz"):
-        raise PacketError("a vector is missing")
+        return None
     x, y, z = (finite(float(value[axis])) for axis in "xyz")
     return x, y, z
 

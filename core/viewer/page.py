@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import base64
+import gzip
 import hashlib
-import re
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
@@ -13,24 +13,68 @@ from ..errors import ModelError
 from ..reading import read_bytes
 
 PAGE = ASSETS / "viewer"
+BUILT = "built/viewer.js"
 _MAX_BYTES = 16_000_000
-_OWN = ("viewer.css", "viewer.js", "avatar.js", "shaders.js", "stream.js", "room.js", "immersive.js", "texts.js")
-_THREE = ("three/three.module.js", "three/three.core.js", "three/OrbitControls.js")
-"""Built by `tools/viewer.sh`."""
-_TYPES = {".html": "text/html; charset=utf-8", ".css": "text/css", ".js": "text/javascript"}
-_IMPORT_MAP = re.compile(rb'<script type="importmap">(.*?)</script>', re.DOTALL)
+_PARTS = {"viewer.js": BUILT, "viewer.css": "built/viewer.css", "icon.svg": "icon.svg"}
+"""Files of the page by the names that it uses. Those in `built` are made by `tools/viewer.sh`."""
+_TYPES = {
+    ".html": "text/html; charset=utf-8",
+    ".css": "text/css; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+    ".svg": "image/svg+xml",
+}
+_DIGEST = 8
+"""Bytes of the digest in the name of a file that never changes."""
+
+
+@dataclass(frozen=True)
+class Content:
+    """The content of a file.
+
+    Attributes
+    ----------
+    kind : str
+        Media type.
+    data : bytes
+        The file.
+    packed : bytes or None
+        The same compressed by gzip, if that is smaller.
+    lasting : bool
+        Whether the name contains a digest of the file, so that browsers may keep it.
+    """
+
+    kind: str
+    data: bytes
+    packed: bytes | None = None
+    lasting: bool = False
+
+
+def digest(*contents: bytes) -> str:
+    """Return a name for contents that no others have."""
+    found = hashlib.blake2b(digest_size=_DIGEST)
+    for content in contents:
+        found.update(len(content).to_bytes(8, "little"))
+        found.update(content)
+    return found.hexdigest()
 
 
 @lru_cache(maxsize=1)
-def page_files() -> dict[str, tuple[str, bytes]]:
-    """Return the type and the content of each file of the page, by its path below the token.
+def page_files() -> dict[str, Content]:
+    """Return the content of each file of the page, by its path below the token.
 
     Raises
     ------
     ModelError
         If a file is missing.
     """
-    return {"" if name == "index.html" else name: _file(PAGE / name) for name in ("index.html", *_OWN, *_THREE)}
+    files, text = {}, _read(PAGE / "index.html")
+    for name, place in _PARTS.items():
+        data, (stem, suffix) = _read(PAGE / place), name.split(".")
+        lasting = f"{stem}.{digest(data)}.{suffix}"
+        text = text.replace(f'"{name}"'.encode(), f'"{lasting}"'.encode())
+        files[lasting] = _content(name, data, lasting=True)
+    files[""] = _content("index.html", text, lasting=False)
+    return files
 
 
 def security_headers(host: str, *, secure: bool) -> dict[str, str]:
@@ -51,28 +95,26 @@ def security_headers(host: str, *, secure: bool) -> dict[str, str]:
     dict of str to str
         Headers by name.
     """
-    scripts = f"'self' 'sha256-{_import_map_hash()}'"
     socket = f"{'wss' if secure else 'ws'}://{host}"
     return {
         "Content-Security-Policy": (
-            f"default-src 'none'; script-src {scripts}; style-src 'self'; img-src 'self' blob:; "
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
             f"connect-src 'self' {socket}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
         ),
-        "Cache-Control": "no-store",
         "Cross-Origin-Resource-Policy": "same-origin",
         "Referrer-Policy": "no-referrer",
         "X-Content-Type-Options": "nosniff",
     }
 
 
-def _import_map_hash() -> str:
-    found = _IMPORT_MAP.search(page_files()[""][1])
-    return base64.b64encode(hashlib.sha256(b"" if found is None else found.group(1)).digest()).decode()
+def _content(name: str, data: bytes, *, lasting: bool) -> Content:
+    packed = gzip.compress(data, mtime=0)
+    return Content(_TYPES[Path(name).suffix], data, packed if len(packed) < len(data) else None, lasting)
 
 
-def _file(path: Path) -> tuple[str, bytes]:
+def _read(path: Path) -> bytes:
     try:
-        return _TYPES[path.suffix], read_bytes(path, _MAX_BYTES)
+        return read_bytes(path, _MAX_BYTES)
     except (OSError, ValueError) as error:
         raise ModelError(
             f"The viewer's page is incomplete: {path} cannot be read. Reinstall Facemime, or run make viewer."

@@ -7,6 +7,7 @@ an old one.
 from __future__ import annotations
 
 import asyncio
+import gzip
 import json
 import logging
 import threading
@@ -15,21 +16,25 @@ from contextlib import suppress
 from functools import partial
 from http import HTTPStatus
 from time import perf_counter
+from typing import Any
 
-from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection
 from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
+from websockets.protocol import State
+from websockets.server import ServerProtocol
 
 from ..drive.driver import HeadDriver, HeadFrame
 from ..errors import FacemimeError
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
 from ..streams.addresses import cannot_listen
-from ..streams.background import Serving
+from ..streams.background import Serving, listening
+from .gate import MAX_CONNECTIONS, Gate, Guest
 from .messages import CLOCK_REQUEST, encode_clock, encode_frame
 from .model import ViewerModel, viewer_model
-from .page import page_files, security_headers
+from .page import Content, digest, page_files, security_headers
 from .settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
 
 _STREAM = "stream"
@@ -37,13 +42,39 @@ _MAX_MESSAGE = 64
 """Largest size in bytes of a message from a page, which only asks for the time."""
 _MIN_PAUSE = 0.05
 """Smallest time in seconds between two such messages; a page that asks more often is disconnected."""
-_STARTING, _CLOSING = 10.0, 1.0
-"""Time in seconds to wait for the server to start, and for a page to close."""
+_STARTING, _REQUEST, _ANSWER, _CLOSING = 10.0, 5.0, 120.0, 1.0
+"""Time in seconds to wait for the server to start, for a request, for a page to take its answer, and to close."""
 _SEND_BUFFER = 65536
 """Bytes that may wait for a viewer, beyond those in the system's buffer, before frames are left out."""
+_EFFORT = 1
+"""Level at which gzip compresses models: 6 takes three times as long for 4 % less."""
+_AGES = {True: "private, max-age=31536000, immutable", False: "no-store"}
+"""How long browsers may keep a file whose name contains a digest of it, and others."""
 _LOG = logging.getLogger("facemime.viewer")
 _LOG.addHandler(logging.NullHandler())
 _LOG.propagate = False
+
+
+class _Connection(ServerConnection):
+    """A connection of a browser, or of a stranger.
+
+    Parameters
+    ----------
+    server : Server
+        Server that it belongs to.
+    guest : Guest
+        Its place at the gate.
+    """
+
+    def __init__(self, server: Server, guest: Guest) -> None:
+        super().__init__(
+            ServerProtocol(max_size=_MAX_MESSAGE, logger=_LOG),
+            server,
+            close_timeout=_CLOSING,
+            max_queue=4,
+            write_limit=_SEND_BUFFER,
+        )
+        self.guest = guest
 
 
 class ViewerServer(Serving):
@@ -89,8 +120,10 @@ class ViewerServer(Serving):
         self._frame = b""
         self._files = page_files()
         self._context = settings.context()
+        self._listener = listening(settings.host, settings.port, MAX_CONNECTIONS)
         super().__init__("facemime-viewer")
-        self._served: tuple[int, tuple[ViewerModel, ...]] = (0, ())
+        self._served: tuple[int, str, tuple[ViewerModel, ...]] = (0, "", ())
+        self._packed: dict[str, asyncio.Task[bytes]] = {}
         self._wakes: set[asyncio.Event] = set()
         self._ready = threading.Event()
         self._error: OSError | None = None
@@ -121,7 +154,8 @@ class ViewerServer(Serving):
         except FacemimeError as error:
             models, self.message = (), str(error)
         self._scene, self._models = self._scene + 1, models
-        self._call(partial(self._replace, self._scene, models))
+        path = digest(*[data for model in models for data in (model.data, *model.images)])
+        self._call(partial(self._replace, self._scene, path, models))
 
     # The methods below run in the server's thread.
 
@@ -134,23 +168,60 @@ class ViewerServer(Serving):
             self._ready.set()
 
     async def _serve(self) -> None:
-        async with serve(
-            self._watch,
-            self.settings.host,
-            self.settings.port,
-            ssl=self._context,
-            process_request=self._answer,
-            compression=None,
-            max_size=_MAX_MESSAGE,
-            max_queue=4,
-            close_timeout=_CLOSING,
-            write_limit=_SEND_BUFFER,
-            server_header=None,
-            logger=_LOG,
-        ) as server:
+        self._loop.set_exception_handler(lambda loop, context: _LOG.debug("%s", context.get("message")))
+        server = Server(self._admit, self._attend, _LOG)  # type: ignore[arg-type]  # a gate has what it uses
+        self._connect = partial(_Connection, server)
+        async with server:
             self.address = self._address(server)
             self._ready.set()
-            await self._over.wait()
+            self._ended = self._loop.create_task(self._over.wait())
+            await self._ended
+        await self._loop.shutdown_default_executor()
+
+    async def _admit(self) -> Gate:
+        self._gate = Gate(self._listener, self._connect, self._context)
+        return self._gate
+
+    async def _attend(self, connection: ServerConnection) -> None:
+        """Answer a connection, and close it."""
+        assert isinstance(connection, _Connection)
+        guest, server = connection.guest, connection.server
+        try:
+            async with asyncio.timeout(_REQUEST):
+                await asyncio.wait(
+                    [connection.request_rcvd, connection.connection_lost_waiter], return_when=asyncio.FIRST_COMPLETED
+                )
+            if connection.request is None:
+                return
+            if (answer := await self._answer(guest, connection.request)) is not None:
+                await self._send(connection, answer)
+                return
+            async with connection.send_context(expected_state=State.CONNECTING):
+                connection.protocol.send_response(connection.protocol.accept(connection.request))
+            if connection.protocol.state is State.OPEN:
+                server.all_connections.add(connection)
+                connection.start_keepalive()
+                async with connection:
+                    await self._watch(connection)
+        except (OSError, TimeoutError, ConnectionClosed) as error:
+            _LOG.debug("A connection of %s ended: %s", guest.host, error)
+        finally:
+            connection.transport.abort()
+            server.all_connections.discard(connection)
+            server.handler_tasks.discard(asyncio.current_task())
+            self._gate.leave(guest)
+
+    async def _send(self, connection: _Connection, answer: Response) -> None:
+        """Send an answer, and wait until the other side has closed the connection; strangers get little time."""
+        transport = connection.transport
+        transport.write(answer.serialize())
+        if transport.can_write_eof():
+            transport.write_eof()
+        else:
+            transport.close()
+        waits: list[asyncio.Future[Any]] = [connection.connection_lost_waiter, self._ended]
+        patience = _ANSWER if connection.guest.welcome else _CLOSING
+        await asyncio.wait(waits, timeout=patience, return_when=asyncio.FIRST_COMPLETED)
 
     def _address(self, server: Server) -> str:
         port = next(iter(server.sockets)).getsockname()[1]
@@ -161,49 +232,68 @@ class ViewerServer(Serving):
         for wake in self._wakes:
             wake.set()
 
-    def _replace(self, scene: int, models: tuple[ViewerModel, ...]) -> None:
-        self._served = scene, models
+    def _replace(self, scene: int, path: str, models: tuple[ViewerModel, ...]) -> None:
+        if path != self._served[1]:
+            self._packed = {}
+        self._served = scene, path, models
         self._publish(b"")
 
-    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+    async def _answer(self, guest: Guest, request: Request) -> Response | None:
         """Answer a request, or return None to begin a stream."""
-        host = request.headers.get("Host", "")
+        if request.method != "GET":
+            return _response(HTTPStatus.METHOD_NOT_ALLOWED, "text/plain", b"Only GET.\n", {"Allow": "GET"})
+        host = _header(request, "Host")
         if not self.settings.allows(host):
             return _response(HTTPStatus.MISDIRECTED_REQUEST, "text/plain", b"This is not a name of this computer.\n")
         _, token, path = (*request.path.split("?")[0].split("/", 2), "", "")[:3]
         if not same_token(token, self._token):
             return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is nothing here.\n")
+        guest.welcome = True
         if path == _STREAM:
             return self._refused(request, host)
-        found = self._content(path)
+        packs = "gzip" in _header(request, "Accept-Encoding").replace(",", " ").replace(";", " ").split()
+        found = await self._content(path, packs=packs)
         if found is None:
             return _response(HTTPStatus.NOT_FOUND, "text/plain", b"There is nothing here.\n")
-        return _response(HTTPStatus.OK, *found, security_headers(host, secure=self._context is not None))
+        headers = security_headers(host, secure=self._context is not None)
+        headers |= {"Cache-Control": _AGES[found.lasting], "Vary": "Accept-Encoding"}
+        if packs and found.packed is not None:
+            return _response(HTTPStatus.OK, found.kind, found.packed, headers | {"Content-Encoding": "gzip"})
+        return _response(HTTPStatus.OK, found.kind, found.data, headers)
 
     def _refused(self, request: Request, host: str) -> Response | None:
         """Refuse a stream to a page of another site, or beyond the largest number of viewers."""
-        origin = request.headers.get("Origin", "")
+        origin = _header(request, "Origin")
         if origin and origin.lower() != f"{self.settings.scheme}://{host}".lower():
             return _response(HTTPStatus.FORBIDDEN, "text/plain", b"Another site asks.\n")
         if self.viewers >= MAX_VIEWERS:
             return _response(HTTPStatus.SERVICE_UNAVAILABLE, "text/plain", b"There are too many viewers.\n")
         return None
 
-    def _content(self, path: str) -> tuple[str, bytes] | None:
-        """Return a file of the page, or `SCENE/HEAD/model` or `SCENE/HEAD/IMAGE` of the served heads."""
+    async def _content(self, path: str, *, packs: bool) -> Content | None:
+        """Return a file of the page, or `PATH/HEAD/model` or `PATH/HEAD/IMAGE` of the served heads."""
         if path in self._files:
             return self._files[path]
-        scene, models = self._served
+        _, place, models = self._served
         parts = path.split("/")
-        if len(parts) != 3 or parts[0] != str(scene):
+        if len(parts) != 3 or not place or parts[0] != place:
             return None
         number = _index(parts[1], len(models))
         if number is None:
             return None
         if parts[2] == "model":
-            return "application/octet-stream", models[number].data
+            data = models[number].data
+            return Content(
+                "application/octet-stream", data, await self._pack(path, data) if packs else None, lasting=True
+            )
         image = _index(parts[2], len(models[number].images))
         return None if image is None else _image(models[number].images[image])
+
+    async def _pack(self, path: str, data: bytes) -> bytes:
+        """Compress a model, once for all pages."""
+        if path not in self._packed:
+            self._packed[path] = self._loop.create_task(asyncio.to_thread(gzip.compress, data, _EFFORT, mtime=0))
+        return await asyncio.shield(self._packed[path])
 
     async def _watch(self, connection: ServerConnection) -> None:
         if self.viewers >= MAX_VIEWERS:  # several came at once
@@ -225,9 +315,9 @@ class ViewerServer(Serving):
             while True:
                 wake.clear()
                 if scene != self._served[0]:
-                    scene, models = self._served
+                    scene, path, models = self._served
                     images = [len(model.images) for model in models]
-                    await connection.send(json.dumps({"scene": scene & 0xFFFF, "path": scene, "images": images}))
+                    await connection.send(json.dumps({"scene": scene & 0xFFFF, "path": path, "images": images}))
                 elif self._frame and self._frame is not last:
                     last = self._frame
                     await connection.send(last)
@@ -251,6 +341,11 @@ class ViewerServer(Serving):
             await connection.send(encode_clock(sent, now))
 
 
+def _header(request: Request, name: str) -> str:
+    """Return a header; one that comes twice is not a host or an origin."""
+    return ", ".join(request.headers.get_all(name))
+
+
 def _made_of(driver: HeadDriver | KeyDriver) -> tuple[object, ...]:
     """Return the objects that a model depends on, compared by identity; a new calibration keeps them."""
     head = driver.head if isinstance(driver, KeyDriver) else driver
@@ -261,9 +356,9 @@ def _index(text: str, count: int) -> int | None:
     return int(text) if text.isdecimal() and len(text) < 5 and int(text) < count else None
 
 
-def _image(data: bytes) -> tuple[str, bytes]:
+def _image(data: bytes) -> Content:
     kinds = {b"\x89PNG": "image/png", b"RIFF": "image/webp"}
-    return kinds.get(data[:4], "image/jpeg"), data
+    return Content(kinds.get(data[:4], "image/jpeg"), data, lasting=True)
 
 
 def _response(status: HTTPStatus, kind: str, body: bytes, extra: dict[str, str] | None = None) -> Response:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hmac
 import ipaddress
+import re
 import secrets
 import socket
 import ssl
@@ -19,6 +20,8 @@ from ..streams.security import server_context
 PORT = 21574
 MAX_VIEWERS = 16
 """Largest number of pages that may watch at a time."""
+_HOST = re.compile(r"(?:\[[0-9a-fA-F:.]{2,45}\]|[0-9A-Za-z._-]{1,253})(?::[0-9]{1,5})?")
+"""A host as browsers write it: the policy of the page repeats it, so it must have nothing else."""
 _MIN_TOKEN, _MAX_TOKEN = 16, 128
 
 
@@ -87,6 +90,8 @@ class ViewerSettings:
         bool
             Whether the host is allowed.
         """
+        if _HOST.fullmatch(host) is None:
+            return False
         name = _without_port(host).lower().rstrip(".")
         own = socket.gethostname().lower()
         if name in {"localhost", own, own.partition(".")[0], f"{own.partition('.')[0]}.local"}:

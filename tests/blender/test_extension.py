@@ -53,8 +53,8 @@ def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(pl
         "assets/head/woman.npz",
         "assets/MODEL_CARD.md",
         "assets/viewer/index.html",
-        "assets/viewer/three/three.core.js",
-        "assets/viewer/three/LICENSE",
+        "assets/viewer/built/viewer.js",
+        "assets/viewer/built/LICENSE",
     ):
         assert needed in names
     for unwanted in ("training/", "tests/", "bench/", "docs/", "tools/", ".", "Makefile", "pyproject.toml"):

@@ -7,6 +7,7 @@ import blf
 import bpy
 import pytest
 from characters import TRUTH, make_character
+from panels import Layout, draw
 
 from facemime.blender.heads.binding import write_marks
 from facemime.blender.heads.built_in import add_head
@@ -47,31 +48,6 @@ from facemime.ui.takes import (
 )
 from live_ticks import wait_for
 from takes import performance
-
-
-class Layout:
-    """Substitute for a layout: records every call and returns itself."""
-
-    def __init__(self):
-        self.calls = []
-
-    def __getattr__(self, name):
-        def call(*arguments, **options):
-            self.calls.append((name, *arguments, *options.values()))
-            return self
-
-        return call
-
-    def texts(self) -> str:
-        """Return everything that was drawn as text."""
-        return " ".join(str(part) for call in self.calls for part in call)
-
-
-def draw(panel: type) -> str:
-    """Return what `panel` draws in the current context."""
-    layout = Layout()
-    panel.draw(SimpleNamespace(layout=layout), bpy.context)
-    return layout.texts()
 
 
 def nothing() -> None:

@@ -9,6 +9,7 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
+from panels import draw
 from vtube_studio import TOKEN, Studio
 from vtube_studio import running as at_port
 
@@ -31,6 +32,7 @@ from facemime.settings import takes_store
 from facemime.settings.performers import read_calibration, write_calibration
 from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source
+from facemime.ui.puppet import FACEMIME_PT_incoming, FACEMIME_PT_puppet
 from links import all_the_time, free_port, performing, sending_phone
 from live_ticks import shown, some_frames, start, tick, ticks_until
 from takes import coefficient_take, performance
@@ -68,6 +70,23 @@ def test_a_phone_drives_a_head_with_its_own_neutral_face(phone):
     assert session.worker.neutral.measured and session.worker.source.senders == ("127.0.0.1 Phone",)
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
     np.testing.assert_allclose(shown(head), rest, atol=1e-6)
+
+
+def test_the_values_of_a_phone_are_shown_while_it_drives_a_head(phone):
+    add_head(bpy.context)
+    assert not FACEMIME_PT_incoming.poll(bpy.context)
+    start()
+    ticks_until(lambda: running().worker.source.incoming)
+    drawn = draw(FACEMIME_PT_incoming)
+    assert FACEMIME_PT_incoming.poll(bpy.context) and "127.0.0.1 Phone" in drawn and "mouthSmileLeft" in drawn
+
+
+def test_another_protocol_is_named_in_the_panel(phone):
+    bpy.context.scene.facemime.source.stream.protocol = "vmc"
+    add_head(bpy.context)
+    assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
+    ticks_until(lambda: running().worker.message)
+    assert "looks like Live Link Face, not VMC" in draw(FACEMIME_PT_puppet)
 
 
 def test_moved_vertices_drive_a_head_with_their_own_rest_as_the_neutral_face():

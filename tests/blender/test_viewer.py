@@ -28,7 +28,7 @@ from facemime.core.streams.addresses import EVERYWHERE
 from facemime.core.takes.file import save_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.viewer.model import viewer_model
-from facemime.core.viewer.page import PAGE
+from facemime.core.viewer.page import BUILT, PAGE
 from facemime.operators.puppet import running
 from facemime.settings.values import viewer_settings
 from live_ticks import some_frames, start, tick, ticks_until
@@ -36,7 +36,7 @@ from takes import performance
 
 pytestmark = [
     pytest.mark.usefixtures("nothing_left_over"),
-    pytest.mark.skipif(not (PAGE / "three").is_dir(), reason="three.js is missing: make viewer"),
+    pytest.mark.skipif(not (PAGE / BUILT).is_file(), reason="the page is not built: make viewer"),
 ]
 
 

@@ -1,8 +1,14 @@
 """The command `serve` in a separate process, and a viewer of it."""
 
 import json
+import re
 import signal
+import socket
 import subprocess
+from contextlib import ExitStack
+from pathlib import Path
+from urllib.parse import urlsplit
+from urllib.request import urlopen
 
 import pytest
 from clocks import PATIENCE
@@ -10,9 +16,9 @@ from websockets.sync.client import connect
 
 from commands import START, needs_posix
 from facemime.cli.main import main
-from facemime.core.viewer.page import PAGE
+from facemime.core.viewer.page import BUILT, PAGE
 
-pytestmark = pytest.mark.skipif(not (PAGE / "three").is_dir(), reason="three.js is missing: make viewer")
+pytestmark = pytest.mark.skipif(not (PAGE / BUILT).is_file(), reason="the page is not built: make viewer")
 
 
 @needs_posix
@@ -30,6 +36,32 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
     assert server.returncode == 0, said
     assert len(frames) > 10, "the head moves"
     assert "Anyone who has it can watch" in said and "█" not in said
+
+
+@needs_posix
+def test_hundreds_of_idle_connections_leave_file_descriptors_and_a_page_that_loads(take):
+    """As many as a stranger likes, with as few descriptors as macOS gives to Blender."""
+    limited = ["sh", "-c", 'ulimit -n 256; exec "$@"', "sh"]
+    line = [*limited, *START, "serve", "--video", str(take), "--loop", "--listen", ":0"]
+    with (
+        subprocess.Popen(line, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server,
+        ExitStack() as idle,
+    ):
+        address = server.stdout.readline().strip()
+        parts = urlsplit(address)
+        for _ in range(300):
+            idle.enter_context(socket.create_connection((parts.hostname, parts.port), PATIENCE))
+        with urlopen(address, timeout=PATIENCE) as answer:
+            names = re.findall(r'(?:href|src)="([^"]+)"', answer.read().decode())
+        for name in names:
+            with urlopen(address + name, timeout=PATIENCE) as answer:
+                assert answer.status == 200 and answer.read()
+        assert len(names) == 3
+        if (descriptors := Path(f"/proc/{server.pid}/fd")).is_dir():
+            assert len(list(descriptors.iterdir())) < 128
+        server.send_signal(signal.SIGINT)
+        said = server.stderr.read()
+    assert server.returncode == 0 and "Traceback" not in said and "socket.accept" not in said, said
 
 
 @pytest.mark.parametrize(

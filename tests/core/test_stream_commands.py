@@ -26,7 +26,7 @@ from facemime.core.streams.vertices import VERTICES
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
-from links import free_port
+from links import free_port, sending_phone
 from takes import coefficient_take, performance
 
 
@@ -181,9 +181,23 @@ def test_a_video_is_tracked_and_sent_without_blender():
 
 
 @needs_posix
+def test_the_values_that_arrive_can_be_watched_without_a_take(tmp_path):
+    port = free_port()
+    with sending_phone(port):
+        done = run("receive", "--protocol", "livelink", "--listen", f":{port}", "--watch", "--seconds", 2)
+    assert done.returncode == 0, done.stderr
+    assert "127.0.0.1 Phone: " in done.stdout and "mouthSmileLeft " in done.stdout
+    assert "frames in" in done.stderr
+
+
+@needs_posix
 def test_receiving_nothing_is_a_clear_error(tmp_path):
     done = run("receive", "--listen", f":{free_port()}", "-o", tmp_path / "a.facetake", "--seconds", 0.3)
-    assert done.returncode == 1 and "No data arrived" in done.stderr and not (tmp_path / "a.facetake").exists()
+    assert (
+        done.returncode == 1
+        and "Nothing arrived at 127.0.0.1:" in done.stderr
+        and not (tmp_path / "a.facetake").exists()
+    )
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,11 @@
 """Addresses: which of them are this computer's, and how they are written."""
 
+import errno
+
 import pytest
 
 from facemime.core.errors import SourceError
-from facemime.core.streams.addresses import is_loopback, parse_address
+from facemime.core.streams.addresses import cannot_listen, is_loopback, parse_address
 
 
 @pytest.mark.parametrize(
@@ -45,3 +47,9 @@ def test_addresses_are_parsed(text, wanted):
 def test_invalid_addresses_are_refused(text):
     with pytest.raises(SourceError):
         parse_address(text)
+
+
+def test_a_port_that_only_administrators_may_use_is_reported_as_such():
+    denied = PermissionError(errno.EACCES, "Permission denied")
+    assert "listen on port 443. Choose one of 1024 or above." in str(cannot_listen("127.0.0.1", 443, denied))
+    assert "Permission denied" in str(cannot_listen("127.0.0.1", 8443, denied))

@@ -121,3 +121,38 @@ def test_the_nesting_of_bundles_is_limited():
         data = next(osc.encode_bundles([data], 9999))
     with pytest.raises(PacketError):
         osc.decode(data)
+
+
+def test_arguments_that_are_neither_numbers_nor_texts_are_none_and_those_after_them_are_read():
+    built = OscMessageBuilder("/a")
+    built.add_arg(b"12345", OscMessageBuilder.ARG_TYPE_BLOB)
+    built.add_arg(None, OscMessageBuilder.ARG_TYPE_NIL)
+    built.add_arg((1, 2, 3, 4), OscMessageBuilder.ARG_TYPE_MIDI)
+    built.add_arg([0.5, ["x"]])
+    built.add_arg(7)
+    (message,) = osc.decode(built.build().dgram)
+    assert message.arguments == (None, None, None, None, 0.5, None, "x", None, None, 7)
+
+
+def test_a_message_of_old_programs_without_types_has_no_arguments():
+    assert osc.decode(b"/address\0\0\0\0") == [osc.Message("/address", ())]
+
+
+@pytest.mark.parametrize(
+    "damaged",
+    [
+        b"",
+        b"/a",
+        b"/a\0\0,q\0\0\0\0\0\0",
+        b"/a\0\0,f\0\0" + struct.pack(">f", float("nan")),
+        b"/a\0\0,b\0\0" + struct.pack(">i", -8),
+        b"/a\0\0,b\0\0" + struct.pack(">i", 2**31 - 1),
+        b"/\x83\0\0,\0\0\0",
+    ],
+)
+def test_a_damaged_message_in_a_bundle_is_left_out_alone(damaged):
+    good = osc.encode_message("/good", 1)
+    bundle = next(osc.encode_bundles([good, damaged, good], 9999))
+    assert osc.decode(bundle) == [osc.Message("/good", (1,))] * 2
+    with pytest.raises(PacketError):
+        osc.decode(next(osc.encode_bundles([damaged], 9999)))

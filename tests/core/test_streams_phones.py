@@ -184,18 +184,55 @@ def test_both_versions_of_ifacialmocap_are_read():
 @pytest.mark.parametrize(
     "text",
     [
+        FIRST + "\r\n",
+        FIRST.replace("|", " |\n"),
+        FIRST.replace("|=head", "=head"),
+        FIRST.replace("=head", "=|head"),
+        FIRST.removesuffix("|") + "|34903,-1.66,-0.17||||3|",
+        FIRST + "___iFacialMocap",
+        "trackingStatus-1|hapihapi-0|" + FIRST,
+        "=head" + FIRST.partition("=head")[2] + FIRST.partition("=head")[0],
+        FIRST.replace("custom_1", "独自の笑顔"),
+        FIRST.replace("custom_1-50", "jawForward-x"),
+    ],
+)
+def test_ifacialmocap_is_read_part_by_part_as_other_programs_write_it(text):
+    """The layouts are those of VCR's, VTuberHub's and Warudo's packets, of ARKit apps in Unity, and of Facemotion3d."""
+    (frame,) = IFacialMocapDecoder().decode(text.encode())
+    (wanted,) = IFacialMocapDecoder().decode(FIRST.encode())
+    np.testing.assert_array_equal(frame.face.coefficients, wanted.face.coefficients)
+    np.testing.assert_array_equal(frame.face.rotation, wanted.face.rotation)
+    np.testing.assert_array_equal(frame.face.position, wanted.face.position)
+
+
+def test_ifacialmocap_without_the_head_or_its_position_leaves_the_head_as_it_was():
+    decoder, turned = IFacialMocapDecoder(), from_face_axes(*np.radians([10.0, 20.0, -5.0]))
+    for text in ("jawOpen-12|=head#10,20,-5|", "jawOpen-50|", "jawOpen-50|=head#nan,0,0,0,0,0|"):
+        (frame,) = decoder.decode(text.encode())
+        np.testing.assert_allclose(frame.face.rotation, turned, atol=1e-9)
+        assert frame.face.position is None
+    assert value_of(frame.face, "jawOpen") == 0.5
+
+
+@pytest.mark.parametrize("mark", ["-", "&"])
+def test_ifacialmocap_that_has_lost_the_face_says_so(mark):
+    lost, seen = ((f"trackingStatus{mark}{n}|" + FIRST).encode() for n in (0, 1))
+    assert IFacialMocapDecoder().decode(lost)[0].face is None
+    assert IFacialMocapDecoder().decode(seen)[0].face is not None
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
         "",
         "hello",
-        FIRST.replace("=head#-21.5", "=head#nan"),
-        FIRST.replace("=head#-21.5", "=head#1e999"),
-        FIRST.replace("-21.5,-6.0,", ""),
-        FIRST.replace("=head#", "=neck#"),
-        FIRST.replace("jawOpen-12", "jawOpen-1" + "2" * 30),
-        FIRST.replace("jawOpen-12", "jawOpen-x"),
+        "hello-5|=head#0,0,0,0,0,0|",
+        "jawOpen-1" + "2" * 30,
+        "jawOpen-x",
         FIRST + "a" * 20_000,
-        "|".join(["jawOpen-1"] * 1000),
-        "jawOpen-1|=head#0,0,0,0,0,0|",
-        FIRST.replace("custom", "cust\u00f6m"),
+        FIRST.replace("=head#-21.5", "=head#9999"),
+        '{"jawOpen": 5}',
+        ifacialmocap.START.decode(),
     ],
 )
 def test_invalid_packets_of_ifacialmocap_are_refused(text):
@@ -240,6 +277,25 @@ def test_vtube_studio_is_read_by_name_whatever_the_spelling():
     assert value_of(frame.face, "eyeBlinkLeft") == 0.25
 
 
+@pytest.mark.parametrize("stamp", [None, 0, -1, "now", True])
+def test_vtube_studio_without_a_time_is_played_evenly(stamp):
+    packet = json.loads(golden_vtube_studio()) | {"Timestamp": stamp}
+    text = json.dumps({key: value for key, value in packet.items() if value is not None})
+    (frame,) = VTubeStudioDecoder().decode(text.encode())
+    assert frame.time is None
+    np.testing.assert_allclose(frame.face.coefficients, distinct())
+
+
+def test_vtube_studio_with_little_else_than_values_is_read():
+    """As programs that track a webcam with MediaPipe send: few or foreign names among the values, and no position."""
+    entries = [{"k": "_neutral", "v": 1e-6}, {"k": "jawOpen", "v": 0.5}, {"k": "mouthClose", "v": None}, {}]
+    text = json.dumps({"FaceFound": True, "BlendShapes": entries, "Rotation": {"x": 0, "y": -20, "z": 0}})
+    (frame,) = VTubeStudioDecoder().decode(text.encode())
+    assert value_of(frame.face, "jawOpen") == 0.5 and frame.face.position is None
+    np.testing.assert_allclose(frame.face.rotation, from_face_axes(*np.radians([-20.0, 0.0, 0.0])), atol=1e-9)
+    assert VTubeStudioDecoder().decode(b'{"FaceFound": false, "BlendShapes": []}')[0].face is None
+
+
 def test_vtube_studio_reports_when_there_is_no_face():
     assert VTubeStudioDecoder().decode(golden_vtube_studio(FaceFound=False))[0].face is None
 
@@ -259,12 +315,9 @@ def test_the_request_is_the_documented_one():
         b"[" * 10_000,
         b'{"a":' * 5_000,
         golden_vtube_studio(Rotation={"x": 1e400, "y": 0, "z": 0}).replace(b"Infinity", b"1e400"),
-        golden_vtube_studio(Rotation={"x": "1", "y": 0, "z": 0}),
-        golden_vtube_studio(Rotation=[1, 2, 3]),
         golden_vtube_studio(BlendShapes=[]),
         golden_vtube_studio(BlendShapes=[{"k": "JawOpen"}] * 20),
         golden_vtube_studio(BlendShapes=[{"k": "JawOpen", "v": True}] * 20),
-        golden_vtube_studio(Timestamp=-1),
         golden_vtube_studio(FaceFound=1),
         golden_vtube_studio() + b" " * MAX_DATAGRAM,
         golden_vtube_studio() + b"x",
@@ -296,12 +349,40 @@ def test_face_cap_is_read_by_number_in_single_messages_and_in_bundles():
     assert sorted(NAMES) == sorted(COEFFICIENTS) == sorted(CURVES)
 
 
+def test_face_cap_with_integers_is_read_as_with_other_numbers():
+    """Libraries write whole numbers as integers: python-osc by default, Max and Pure Data always."""
+    messages = [osc.encode_message("/HR", 10, -20, 5), osc.encode_message("/HT", 0, 0, -1)]
+    messages += [osc.encode_message("/W", 24, 1), osc.encode_message("/W", 25.0, 0.5), osc.encode_message("/W", 51, 0)]
+    (frame,) = FaceCapDecoder().decode(next(osc.encode_bundles(messages, 9000)))
+    assert value_of(frame.face, "jawOpen") == 1.0 and value_of(frame.face, "jawForward") == 0.5
+    np.testing.assert_allclose(frame.face.rotation, from_face_axes(*np.radians([10.0, -20.0, 5.0])), atol=1e-9)
+    np.testing.assert_array_equal(frame.face.position, [0.0, 0.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        osc.encode_message("/filter", 1),
+        osc.encode_message("/W", 53, 0.5),
+        osc.encode_message("/W", 3, "x"),
+        osc.encode_message("/HR", 1.0),
+        osc.encode_message("/HR", 1e9, 0.0, 0.0),
+        osc.encode_message("/HT", 1e9, 0.0, 0.0),
+        b"/W\0\0,b\0\0" + struct.pack(">i", 2) + bytes(4),
+    ],
+)
+def test_an_odd_message_does_not_discard_a_frame_of_face_cap(odd):
+    messages = [odd, osc.encode_message("/W", 24, 0.5), odd]
+    (frame,) = FaceCapDecoder().decode(next(osc.encode_bundles(messages, 9000)))
+    assert value_of(frame.face, "jawOpen") == 0.5 and not frame.face.rotation.any() and frame.face.position is None
+
+
 @pytest.mark.parametrize(
     "message",
     [
         osc.encode_message("/W", 52, 0.5),
         osc.encode_message("/W", -1, 0.5),
-        osc.encode_message("/W", True, 0.5),
+        osc.encode_message("/W", 1.5, 0.5),
         osc.encode_message("/W", 1),
         osc.encode_message("/HR", 1.0, 2.0),
         osc.encode_message("/HR", 1.0, 2.0, "x"),

@@ -29,7 +29,7 @@ def played(arrivals, playout: Playout, end: float, step: float = 0.002) -> list[
     while now < end:
         while waiting and waiting[0][0] <= now:
             arrival, (time, result) = waiting.pop(0)
-            playout.push(result, time, arrival)
+            playout.push(result, time, arrival, None if time is None else round(time * RATE))
         while (frame := playout.pop(now)) is not None:
             shown.append((now, frame))
         now += step
@@ -102,6 +102,16 @@ def test_a_restarted_sender_is_followed_at_once():
     again = [(3.0 + n / RATE, (5.0 + n / RATE, r)) for n, r in enumerate(results(60))]
     shown = played(first + again, playout, 6.0)
     assert sum(not frame.predicted for _, frame in shown) == 120
+
+
+def test_no_frame_counts_as_lost_if_a_sender_without_numbers_becomes_slower():
+    playout = Playout(DELAY)
+    for number, (at, (time, result)) in enumerate(sent(6.0)):
+        if number < 60 or number % (2 if number < 120 else 3) == 0:
+            playout.push(result, time, at + 0.02)
+            while playout.pop(at + 0.02) is not None:
+                pass
+    assert playout.lost == 0 and playout.due() is not None
 
 
 def test_missing_frames_are_counted_and_predicted_but_never_more_than_two_in_a_row():

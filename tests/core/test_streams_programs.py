@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from pythonosc.osc_packet import OscPacket
 from stream_values import ANGLES, SHARES, value_of
 
-from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.landmarks import IBUG68_INDICES, MOUTH_CORNERS
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.streams import openseeface, osc, vmc
@@ -161,6 +161,49 @@ def test_vmc_moves_the_expressions_that_the_avatar_has_or_that_are_chosen(chosen
     assert [name for name in ("EyeBlinkLeft", "Blink_L") if sent[name] > 0.0] == [moving]
 
 
+def vmc_frame(*messages):
+    """The frame that a bundle completes which also has 52 good values."""
+    values = [osc.encode_message("/VMC/Ext/Blend/Val", name, 0.5) for name in COEFFICIENTS]
+    bundle = next(osc.encode_bundles([*messages, *values, osc.encode_message("/VMC/Ext/Blend/Apply")], 9999))
+    (frame,) = VmcDecoder().decode(bundle)
+    np.testing.assert_array_equal(frame.face.coefficients, 0.5)
+    return frame
+
+
+def test_vmc_takes_integers_as_numbers():
+    """As libraries write whole numbers: python-osc, node-osc with automatic types, and Max."""
+    frame = vmc_frame(
+        osc.encode_message("/VMC/Ext/Bone/Pos", "Head", 0, 0, 0, 0, 1, 0, 0), osc.encode_message("/VMC/Ext/T", 3)
+    )
+    assert frame.time == 3.0
+    np.testing.assert_allclose(euler_to_matrix(*frame.face.rotation), np.diag([-1.0, 1.0, -1.0]), atol=1e-9)
+    decoder = VmcDecoder()
+    decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", "JawOpen", 1))
+    assert value_of(decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))[0].face, "jawOpen") == 1.0
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        osc.encode_message("/other", 1),
+        osc.encode_message("/avatar/parameters/v2/JawOpen", 0.5),
+        osc.encode_message("/VMC/Ext/Blend/Val", "JawOpen"),
+        osc.encode_message("/VMC/Ext/Blend/Val", 1, 0.5),
+        osc.encode_message("/VMC/Ext/Bone/Pos", "Head", *[0] * 7),
+        osc.encode_message("/VMC/Ext/Bone/Pos", "Head", *[0.0] * 7),
+        osc.encode_message("/VMC/Ext/Bone/Pos", "LeftUpperArm", *[0.0] * 7),
+        osc.encode_message("/VMC/Ext/Bone/Pos", "Head", *[0.0] * 6, float("nan")),
+        osc.encode_message("/VMC/Ext/Root/Pos", "root", *[0.0] * 13),
+        osc.encode_message("/VMC/Ext/T", "now"),
+        b"/VMC/Ext/Blend/Val\0\0,sN\0JawOpen\0",
+        b"/VMC/Ext/Blend/Val\0\0,sb\0JawOpen\0" + struct.pack(">i", 1) + bytes(4),
+        b"/VMC/Ext/Blend/Val\0\0,sf\0JawOpen\0",
+    ],
+)
+def test_an_odd_message_does_not_discard_a_frame_of_vmc(odd):
+    assert not vmc_frame(odd).face.rotation.any()
+
+
 @pytest.mark.parametrize(
     "message",
     [
@@ -180,7 +223,7 @@ def test_invalid_messages_of_vmc_are_refused(message):
 def test_vmc_remembers_a_limited_number_of_names():
     decoder = VmcDecoder()
     with pytest.raises(PacketError):
-        for number in range(1000):
+        for number in range(2000):
             decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", f"name{number}", 0.5))
 
 

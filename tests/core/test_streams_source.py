@@ -312,18 +312,41 @@ def test_closing_wakes_a_reader_and_leaves_no_thread(opened):
     source.close()
 
 
+@pytest.mark.parametrize("protocol", ["livelink", "vertices"])
+def test_an_address_of_another_computer_is_reported_as_such(protocol):
+    source = StreamSource(StreamSettings(protocol, "192.0.2.7"))
+    with closing(source), pytest.raises(SourceError, match=r"192.0.2.7 is not an address of this computer"):
+        source.read(0.0)
+
+
 def test_a_port_in_use_is_a_clear_error(opened):
     source = opened("livelink")
     with pytest.raises(SourceError, match="Cannot listen"):
         StreamSource(StreamSettings("livelink", port=source.address[1])).read(0.0)
 
 
-def test_sending_to_a_computer_that_is_not_listening_yet_is_no_error():
-    sender = StreamSender(SendSettings("livelink", port=free_port()))
-    for number in range(5):
-        sender.send(0.1 * number, acted(5).result(number), coefficient_face().neutral)
-    assert sender.message == ""
-    sender.close()
+@pytest.mark.parametrize(("protocol", "answers"), [("livelink", 2.0), ("vmc", 0.0)])
+def test_sending_to_a_port_that_nobody_listens_on_is_reported_until_somebody_does(monkeypatch, protocol, answers):
+    monkeypatch.setattr("facemime.core.streams.sender._ANSWER", answers)
+    port = free_port()
+    with closing(StreamSender(SendSettings(protocol, port=port))) as sender:
+        for number in range(6):
+            sender.send(0.1 * number, acted(6).result(number), coefficient_face().neutral)
+        assert sender.message.startswith(f"No program receives at 127.0.0.1:{port}.")
+        monkeypatch.setattr("facemime.core.streams.sender._ANSWER", 0.0)
+        with closing(StreamSource(StreamSettings(protocol, port=port))) as source:
+            take = acted(30)
+            collected(source, 5, lambda: sender.send(source._clock(), take.result(3), coefficient_face().neutral))
+            assert sender.message == ""
+
+
+def test_sending_with_a_key_to_a_port_that_nobody_listens_on_is_reported(tmp_path):
+    write_key(tmp_path / "a.key")
+    with closing(StreamSender(SendSettings(port=free_port(), key=tmp_path / "a.key"))) as sender:
+        for number in range(2):
+            sender._greeted = float("-inf")
+            sender.send(0.1 * number, acted(5).result(number), coefficient_face().neutral)
+    assert sender.message.startswith("No program receives at 127.0.0.1:")
 
 
 def test_an_address_that_refuses_packets_is_reported_with_advice():

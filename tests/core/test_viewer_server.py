@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import gzip
 import http.client
 import json
+import re
 import socket
 import ssl
 import struct
@@ -22,13 +24,14 @@ from websockets.sync.client import connect
 
 from facemime.core.errors import ModelError, OutputError, SourceError
 from facemime.core.viewer import page
+from facemime.core.viewer.gate import MAX_STRANGERS
 from facemime.core.viewer.messages import CLOCK, FRAME
 from facemime.core.viewer.qr import as_text, qr_code
 from facemime.core.viewer.server import ViewerServer
 from facemime.core.viewer.settings import MAX_VIEWERS, ViewerSettings, kept_token, new_token
-from watching import Watched, face
+from watching import Watched, face, plain
 
-pytestmark = pytest.mark.skipif(not (page.PAGE / "three").is_dir(), reason="three.js is missing: make viewer")
+pytestmark = pytest.mark.skipif(not (page.PAGE / page.BUILT).is_file(), reason="the page is not built: make viewer")
 
 
 @pytest.fixture
@@ -40,10 +43,10 @@ def shown():
     watched.close()
 
 
-def get(address: str, path: str = "", **headers: str) -> tuple[int, dict[str, str], bytes]:
+def get(address: str, path: str = "", method: str = "GET", **headers: str) -> tuple[int, dict[str, str], bytes]:
     parts = urlsplit(address)
     with closing(http.client.HTTPConnection(parts.hostname, parts.port, timeout=PATIENCE)) as connection:
-        connection.request("GET", parts.path + path, headers=headers)
+        connection.request(method, parts.path + path, headers=headers)
         answer = connection.getresponse()
         return answer.status, dict(answer.getheaders()), answer.read()
 
@@ -62,17 +65,53 @@ def messages(viewer, kind: int):
 
 def test_the_page_comes_with_headers_that_isolate_it(shown):
     status, headers, body = get(shown.address)
-    assert status == 200 and b"viewer.js" in body and headers["Content-Type"].startswith("text/html")
+    assert status == 200 and b"viewer." in body and headers["Content-Type"].startswith("text/html")
     policy = headers["Content-Security-Policy"]
-    assert policy.startswith("default-src 'none'; script-src 'self' 'sha256-") and "unsafe" not in policy
+    assert policy.startswith("default-src 'none'; script-src 'self'; style-src") and "unsafe" not in policy
     assert headers["Referrer-Policy"] == "no-referrer" and headers["Cache-Control"] == "no-store"
-    for name in ("viewer.js", "viewer.css", "three/three.module.js", "1/0/model", "1/0/0"):
-        assert get(shown.address, name)[0] == 200, name
 
 
-@pytest.mark.parametrize(
-    "path", ("2/0/model", "1/1/model", "1/0/9", "1/-1/0", "1/0/99999999", "../index.html", "//", "%2e%2e/", "three/")
-)
+def names_of(shown) -> list[str]:
+    """Names of everything that the page loads, as its HTML and the stream state them."""
+    files = re.findall(r'(?:href|src)="([^"]+)"', get(shown.address)[2].decode())
+    with stream(shown.address) as viewer:
+        place = json.loads(viewer.recv(timeout=PATIENCE))["path"]
+    return [*files, f"{place}/0/model", *(f"{place}/0/{number}" for number in range(5))]
+
+
+def test_everything_that_the_page_loads_is_compressed_and_kept_under_a_name_of_its_content(shown):
+    names = names_of(shown)
+    assert len(names) == 9 and [name.rpartition(".")[2] for name in names[:3]] == ["svg", "css", "js"]
+    kept = "private, max-age=31536000, immutable"
+    plain = packed = 0
+    for name in names:
+        status, headers, body = get(shown.address, name)
+        assert status == 200 and headers["Cache-Control"] == kept and "Content-Encoding" not in headers, name
+        status, headers, small = get(shown.address, name, **{"Accept-Encoding": "br;q=1.0, gzip;q=0.8"})
+        assert status == 200 and headers["Vary"] == "Accept-Encoding" and len(small) == int(headers["Content-Length"])
+        assert (gzip.decompress(small) if headers.get("Content-Encoding") == "gzip" else small) == body, name
+        plain, packed = plain + len(body), packed + len(small)
+    assert packed < 0.6 * plain
+    assert names_of(shown) == names
+
+
+def test_another_head_has_other_names_and_the_same_head_the_same_in_another_server(shown):
+    names = names_of(shown)
+    watched, other = Watched(), Watched((shown.drivers[0], plain(shown.drivers[0].rig)))
+    with closing(watched), closing(other):
+        watched.show(face(2))
+        assert names_of(watched) == names
+        other.show(face())
+        with stream(other.address) as viewer:
+            assert json.loads(viewer.recv(timeout=PATIENCE))["path"] != names[3].partition("/")[0]
+
+
+@pytest.mark.parametrize("name", ("{0}/1/model", "{0}/0/9", "{0}/-1/0", "{0}/0/99999999", "1/0/model", "/0/model"))
+def test_other_heads_and_images_are_not_found(shown, name):
+    assert get(shown.address, name.format(names_of(shown)[3].partition("/")[0]))[0] == 404
+
+
+@pytest.mark.parametrize("path", ("../index.html", "//", "%2e%2e/", "built/viewer.js", "viewer.js", "index.html"))
 def test_any_other_path_is_not_found(shown, path):
     assert get(shown.address, path)[0] == 404
 
@@ -92,6 +131,51 @@ def test_without_the_token_nothing_is_found(shown, change):
 @pytest.mark.parametrize("host", ("evil.example", "evil.example:21574", "192.168.1.7", "127.0.0.1.evil.example", ""))
 def test_a_foreign_name_that_resolves_here_is_refused(shown, host):
     assert get(shown.address, Host=host)[0] == 421
+
+
+@pytest.mark.parametrize(
+    "host",
+    (
+        "127.0.0.1:80; script-src *",
+        "localhost:1 evil.example",
+        "localhost:",
+        "localhost:1:2",
+        "[::1]x:5",
+        "local\thost",
+        "localhost, localhost",
+    ),
+)
+def test_a_host_that_is_more_than_a_name_and_a_port_is_refused_rather_than_repeated(shown, host):
+    status, headers, _ = get(shown.address, Host=host)
+    assert status == 421 and not [value for value in headers.values() if host in value]
+
+
+def test_a_request_with_two_hosts_is_refused(shown):
+    parts = urlsplit(shown.address)
+    with socket.create_connection((parts.hostname, parts.port), PATIENCE) as connection:
+        connection.sendall(f"GET {parts.path} HTTP/1.1\r\nHost: localhost\r\nHost: 127.0.0.1\r\n\r\n".encode())
+        assert connection.recv(4096).startswith(b"HTTP/1.1 421 ")
+
+
+@pytest.mark.parametrize("method", ("POST", "PUT", "TRACE", "DELETE", "OPTIONS", "CONNECT", "HEAD", "get"))
+def test_a_page_can_only_be_got(shown, method):
+    status, headers, body = get(shown.address, method=method)
+    assert status == 405 and headers["Allow"] == "GET" and b"viewer." not in body
+
+
+@pytest.mark.parametrize("what", (b"", b"GET / HTTP/1.1\r\nHost:", b"\x16\x03\x01\x02\x00", b"GET"))
+def test_strangers_who_say_nothing_give_way_to_a_page(shown, what):
+    parts = urlsplit(shown.address)
+    with ExitStack() as strangers, stream(shown.address) as viewer:
+        kept = []
+        for _ in range(5 * MAX_STRANGERS):
+            kept.append(strangers.enter_context(socket.create_connection((parts.hostname, parts.port), PATIENCE)))
+            kept[-1].sendall(what)
+        assert get(shown.address)[0] == 200
+        shown.show(face(1))
+        messages(viewer, FRAME)
+        assert len(shown.server._gate._guests) <= MAX_STRANGERS + 1
+    wait_for(lambda: not shown.server._gate._guests)
 
 
 @pytest.mark.parametrize("host", ("localhost", "127.0.0.1:5", "[::1]:5", socket.gethostname()))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -180,7 +181,7 @@ def test_a_head_that_changes_is_loaded_again(open_page, watched):
     rig = built_in_rig()
     shown.drivers = [HeadDriver(replace(rig, vertices=1.5 * rig.vertices), NEUTRAL)]
     (frame,) = shown.show(face(6))
-    until(page, "viewer.stream.scene?.path === 2")
+    until(page, "viewer.stream.scene?.scene === 2")
     loaded(page)
     shown.show(face(6))
     shown_on(page, 3)
@@ -213,8 +214,17 @@ def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(browser, watched
     page.goto(shown.address)
     loaded(page)
     until(page, "!document.getElementById('immersive').hidden")
+    page.evaluate(
+        "asked = []; const ask = navigator.xr.requestSession.bind(navigator.xr);"
+        "navigator.xr.requestSession = (...given) => (asked.push(given), ask(...given)); 0"
+    )
+    button = page.locator("#immersive")
+    assert button.text_content() == "Augmented Reality"
     page.evaluate("document.getElementById('immersive').click()")
     until(page, "viewer.renderer.xr.isPresenting")
+    ((mode, options),) = page.evaluate("asked.map(([mode, { optionalFeatures }]) => [mode, optionalFeatures])")
+    assert mode == "immersive-ar" and options == ["dom-overlay"], "only what the page uses"
+    until(page, "document.getElementById('immersive').textContent === 'Leave'")
     place = page.evaluate("viewer.room.group.position.toArray()")
     assert place[2] < -0.5 and page.evaluate("viewer.scene.background === null"), "in front of the viewer, in the room"
     drawn = page.evaluate("viewer.drawn")
@@ -223,9 +233,68 @@ def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(browser, watched
     until(page, f"viewer.drawn > {drawn + 2}")
     off = vertices_of(page)[: len(frame.vertices)] - frame.vertices
     assert np.abs(off).max() < TOLERANCE
-    page.evaluate("viewer.renderer.xr.getSession().end()")
+    page.evaluate("document.getElementById('immersive').click()")
     until(page, "!viewer.renderer.xr.isPresenting && viewer.scene.background !== null")
+    until(page, "document.getElementById('immersive').textContent === 'Augmented Reality'")
     assert page.evaluate("viewer.room.group.position.toArray()") == [0, 0, 0]
+    context.close()
+
+
+@pytest.mark.thorough
+def test_the_keyboard_orbits_zooms_and_resets_the_view(open_page, watched):
+    shown = watched()
+    shown.show(face())
+    page = loaded(open_page(shown.address))
+    assert page.get_attribute("canvas", "aria-label").startswith("3D view. Arrow keys orbit")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.id") == "picture"
+    way = "viewer.camera.position.clone().sub(viewer.controls.target)"
+
+    def camera() -> np.ndarray:
+        return np.array(page.evaluate(f"{way}.toArray()"))
+
+    start = camera()
+    for key, sign, axis in (("ArrowRight", 1, 0), ("ArrowLeft", -1, 0), ("ArrowUp", 1, 1), ("ArrowDown", -1, 1)):
+        before = camera()
+        page.keyboard.press(key)
+        until(page, f"{way}.distanceTo({{x: {before[0]}, y: {before[1]}, z: {before[2]}}}) > 0.01")
+        moved = camera()
+        assert sign * (moved - before)[axis] > 0.01, key
+        assert np.linalg.norm(moved) == pytest.approx(np.linalg.norm(start))
+    page.keyboard.press("+")
+    until(page, f"{way}.length() < {0.95 * np.linalg.norm(start)}")
+    page.keyboard.press("Home")
+    until(page, f"{way}.distanceTo({{x: {start[0]}, y: {start[1]}, z: {start[2]}}}) < 1e-6")
+
+
+@pytest.mark.thorough
+def test_buttons_are_large_enough_for_a_finger(browser, watched):
+    shown = watched()
+    context = browser.new_context(viewport={"width": 320, "height": 480}, has_touch=True, is_mobile=True)
+    page = context.new_page()
+    page.goto(shown.address)
+    until(page, "document.getElementById('reset').textContent !== ''")
+    box = page.locator("#reset").bounding_box()
+    assert box["width"] >= 44 and box["height"] >= 44
+    context.close()
+
+
+@pytest.mark.thorough
+def test_a_page_loads_little_once_and_misses_nothing(browser, watched):
+    shown = watched()
+    shown.show(face())
+    context = browser.new_context(viewport={"width": 160, "height": 160})
+    page, answers = context.new_page(), []
+    page.on("response", lambda answer: answers.append((answer.url, answer.status)))
+    page.goto(shown.address)
+    size = "performance.getEntriesByType('resource').reduce((sum, { transferSize }) => sum + transferSize, 0)"
+    first = loaded(page).evaluate(size)
+    assert len(answers) >= 9 and [url for url, status in answers if status != 200] == []
+    document = (ROOT / "docs" / "viewer.md").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"A page of the built-in head loads (\d\.\d\d) MB", document)
+    assert first == pytest.approx(1e6 * float(stated), rel=0.02)
+    page.goto(shown.address)
+    assert loaded(page).evaluate(size) < 5_000, "everything else is kept by the browser"
     context.close()
 
 

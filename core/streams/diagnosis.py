@@ -1,0 +1,148 @@
+"""Why packets that arrive move nothing: another protocol, another key, or another sender."""
+
+from __future__ import annotations
+
+from .addresses import EVERYWHERE, is_loopback
+from .casting import Address
+from .face_motion import MAGIC
+from .frames import PacketError
+from .sessions import OwnReceiver, Refusal, RefusedError
+from .settings import PROTOCOLS, StreamSettings
+
+_LOOKS = 0.5
+"""Seconds between two attempts to recognise a packet by trying all decoders."""
+_INCOMPLETE = 500
+"""Number of accepted packets without a face after which the sender is taken to send none; VMC sends one per value."""
+_RECENT = 2.0
+"""Seconds for which what arrived counts as arriving."""
+
+
+class Diagnosis:
+    """Collects why packets are not accepted, and says what to change.
+
+    Parameters
+    ----------
+    settings : StreamSettings
+        Settings of the stream, which have been checked.
+    """
+
+    def __init__(self, settings: StreamSettings) -> None:
+        self._settings = settings
+        self._accepted = 0
+        self._looked = float("-inf")
+        self._last: tuple[float, str] | None = None
+
+    def accept(self, address: Address, now: float, *, frames: int) -> None:
+        """Note an accepted packet, and how many frames it completed."""
+        if frames:
+            self._accepted, self._last = 0, None
+            return
+        self._accepted += 1
+        if self._accepted >= _INCOMPLETE:
+            self._say(_faceless(address[0]), now)
+
+    def refuse(self, error: PacketError, data: bytes, address: Address, now: float) -> None:
+        """Note a packet that was not accepted.
+
+        Parameters
+        ----------
+        error : PacketError
+            Reason.
+        data : bytes
+            The packet.
+        address : (str, int)
+            Its sender.
+        now : float
+            Time in seconds on any clock.
+        """
+        if isinstance(error, RefusedError):
+            if text := self._refusal(error.reason, address[0]):
+                self._say(text, now)
+        elif now - self._looked >= _LOOKS:
+            self._looked = now
+            self._say(self._foreign(data, address[0]), now)
+
+    def message(self, now: float | None = None) -> str:
+        """Return why nothing is played; "" if packets are accepted, or none came lately (with `now`)."""
+        if self._last is None or (now is not None and now - self._last[0] > _RECENT):
+            return ""
+        return self._last[1]
+
+    def nothing_came(self) -> str:
+        """Return what to do if no packet has come at all."""
+        settings = self._settings
+        if settings.pairing is not None:
+            address = settings.pairing.address
+            return f"Nothing arrived from {address}. Check that it is sending, and the firewall there."
+        if settings.phone:
+            return (
+                f"Nothing arrived from the phone {settings.phone}. "
+                "Check its address and the firewall, and that the app is open."
+            )
+        place = f"{settings.host}:{settings.port}"
+        if is_loopback(settings.host):
+            return (
+                f"Nothing arrived at {place}, which only this computer can send to. "
+                f"Check the address and the port in the sender; for other devices, listen on {EVERYWHERE}."
+            )
+        return f"Nothing arrived at {place}. Check the address and the port in the app, and the firewall."
+
+    def _say(self, text: str, now: float) -> None:
+        self._last = now, text
+
+    def _refusal(self, reason: Refusal, host: str) -> str:
+        if reason is Refusal.NO_KEY_HERE:
+            return f"{host} sends with a shared key, and none is set here. Choose its file under Key."
+        if reason is Refusal.NO_KEY_THERE:
+            return f"{host} sends without a key, but one is set here. Use the same key on both computers, or none."
+        if reason is Refusal.OTHER_KEY:
+            return f"{host} sends with a different key. Copy one key file to both computers."
+        if reason is Refusal.NOT_THE_PHONE:
+            phone = self._settings.phone
+            return f"Packets arrive from {host}, but the phone is {phone}. Check the phone's address."
+        return ""
+
+    def _foreign(self, data: bytes, host: str) -> str:
+        label = PROTOCOLS[self._settings.protocol].label
+        if (name := recognise(data, self._settings)) is None:
+            return f"What arrives from {host} is not {label}, nor another protocol known here. Check what it sends."
+        other = PROTOCOLS[name].label
+        return f"What arrives from {host} looks like {other}, not {label}. Choose protocol {name}."
+
+
+def _faceless(host: str) -> str:
+    return f"Packets arrive from {host}, but no face in them. Check in the app that it sends the face."
+
+
+def recognise(data: bytes, settings: StreamSettings) -> str | None:
+    """Recognise the protocol of a packet.
+
+    Parameters
+    ----------
+    data : bytes
+        The packet.
+    settings : StreamSettings
+        Settings of the stream, whose own protocol is left out.
+
+    Returns
+    -------
+    str or None
+        Name of the protocol in `PROTOCOLS`; None if it is none of them.
+    """
+    mine = PROTOCOLS[settings.protocol]
+    if data.startswith(MAGIC) and not mine.motion_port:
+        return next(name for name, protocol in PROTOCOLS.items() if protocol.motion_port)
+    for name, protocol in PROTOCOLS.items():
+        if protocol.connected or protocol is mine:
+            continue
+        try:
+            if protocol.decoder is not None:
+                protocol.decoder(settings).decode(data)
+            else:
+                OwnReceiver(None).receive(data, 0.0)
+        except RefusedError:
+            return name
+        except PacketError:
+            continue
+        return name
+    return None
