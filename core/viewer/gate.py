@@ -52,13 +52,17 @@ class Guest:
     task: asyncio.Task[None] | None = None
     transport: asyncio.Transport | None = None
     welcome: bool = False
+    begun: bool = False
 
     def end(self) -> None:
         """Close the connection at once."""
         if self.transport is not None:
             self.transport.abort()
-        elif self.task is not None:
+            return
+        if self.task is not None:
             self.task.cancel()
+        if not self.begun:  # a task that is cancelled before it has begun closes nothing
+            self.connection.close()
 
 
 class Gate:
@@ -124,6 +128,7 @@ class Gate:
                 continue
             self._guests[guest] = None
             guest.task = self._loop.create_task(self._connect(guest))
+            await asyncio.sleep(0)  # one that waits already is accepted without a pause
 
     def _make_room(self, host: str) -> bool:
         """End the oldest stranger if there are too many; returns whether another connection is possible."""
@@ -138,6 +143,7 @@ class Gate:
         return True
 
     async def _connect(self, guest: Guest) -> None:
+        guest.begun = True
         try:
             guest.transport, _ = await self._loop.connect_accepted_socket(
                 lambda: self._protocol(guest), guest.connection, ssl=self._context, **self._secure

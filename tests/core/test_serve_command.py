@@ -5,7 +5,7 @@ import re
 import signal
 import socket
 import subprocess
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from urllib.parse import urlsplit
 from urllib.request import urlopen
@@ -49,8 +49,8 @@ def test_hundreds_of_idle_connections_leave_file_descriptors_and_a_page_that_loa
     ):
         address = server.stdout.readline().strip()
         parts = urlsplit(address)
-        for _ in range(300):
-            idle.enter_context(socket.create_connection((parts.hostname, parts.port), PATIENCE))
+        place = parts.hostname, parts.port
+        strangers = [idle.enter_context(socket.create_connection(place, PATIENCE)) for _ in range(300)]
         with urlopen(address, timeout=PATIENCE) as answer:
             names = re.findall(r'(?:href|src)="([^"]+)"', answer.read().decode())
         for name in names:
@@ -59,6 +59,9 @@ def test_hundreds_of_idle_connections_leave_file_descriptors_and_a_page_that_loa
         assert len(names) == 3
         if (descriptors := Path(f"/proc/{server.pid}/fd")).is_dir():
             assert len(list(descriptors.iterdir())) < 128
+        for stranger in strangers:
+            with suppress(ConnectionError):
+                assert stranger.recv(1) == b"", "all are closed in the end"
         server.send_signal(signal.SIGINT)
         said = server.stderr.read()
     assert server.returncode == 0 and "Traceback" not in said and "socket.accept" not in said, said
