@@ -56,7 +56,7 @@ def _number(text: str) -> float:
     """Read a number, or a slope, which is infinite where a curve jumps."""
     value = float(text.replace("Infinity", "inf"))
     if np.isnan(value):
-        raise ValueError(f"{text!r} is not a number")
+        raise ValueError("it has values that are not possible numbers")
     return value
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .addresses import EVERYWHERE, is_loopback
+from .addresses import is_loopback
 from .casting import Address
 from .face_motion import MAGIC
 from .frames import PacketError
@@ -83,7 +83,7 @@ class Diagnosis:
         if is_loopback(settings.host):
             return (
                 f"Nothing arrived at {place}, which only this computer can send to. "
-                f"Check the address and the port in the sender; for other devices, listen on {EVERYWHERE}."
+                "Check the address and the port in the sender; for other devices, listen on 0.0.0.0."
             )
         return f"Nothing arrived at {place}. Check the address and the port in the app, and the firewall."
 
