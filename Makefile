@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -161,6 +161,11 @@ bench-coefficients: setup
 bench-remote: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json
+
+# A relay with a thousand simulated viewers; two minutes.
+bench-relay: setup programs
+	mkdir -p build/bench
+	$(BIN)/python -m bench.relay --json build/bench/relay.json
 
 # Accuracy and speed of both face detectors; needs ../shared/data. Ten minutes.
 bench-detection: setup
