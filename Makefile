@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-remote paper model expressions coefficients head sample try lock clean blenders windows browser viewer docs
+.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -34,7 +34,7 @@ check: setup
 PYTEST := OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # Suites that are long and cannot be divided come first.
 SUITES := tests/gui tests/blender tests/fuzz tests/core tests/viewer tests/bench
-test: setup build blenders windows browser build/head/.ready
+test: setup build blenders windows programs build/head/.ready
 	$(PYTEST) $(SUITES) -m "not thorough"
 
 # All other tests as well: the other versions of Blender and their windows, fuzzers, random sequences.
@@ -47,7 +47,7 @@ test-plain: setup build
 
 # A share of the thorough tests, so that a change need not wait for all of them: SHARE=2/3 runs the second third.
 SHARE ?= 1/3
-test-share: setup build blenders windows browser build/head/.ready
+test-share: setup build blenders windows programs build/head/.ready
 	$(PYTEST) $(SUITES) -m thorough --share $(SHARE)
 
 # All live and window tests, repeatedly, on a busy machine.
@@ -65,7 +65,7 @@ test-gui: setup build windows
 	$(BIN)/python -m pytest tests/gui
 
 # The pictures of the README and the tutorials, which a window test takes; look at them before you commit them.
-pictures: setup build windows browser
+pictures: setup build windows programs
 	$(BIN)/python -m pytest tests/gui/test_pictures.py
 	cp build/gui/pictures/*.png docs/tutorials/images
 
@@ -98,9 +98,9 @@ $(VIEWER): requirements/viewer/package-lock.json tools/viewer.sh $(wildcard asse
 	sh tools/viewer.sh
 	touch $@
 
-# A headless browser, from Debian's packages.
-browser:
-	sh tools/browser.sh
+# Programs for tests from Debian's packages: a headless browser, a compiler of C#, and the relay's server.
+programs:
+	sh tools/programs.sh
 
 bench: setup
 	mkdir -p build/bench
@@ -161,6 +161,11 @@ bench-coefficients: setup
 bench-remote: setup
 	mkdir -p build/bench
 	$(BIN)/python -m bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json
+
+# A relay with a thousand simulated viewers; two minutes.
+bench-relay: setup programs
+	mkdir -p build/bench
+	$(BIN)/python -m bench.relay --json build/bench/relay.json
 
 # Accuracy and speed of both face detectors; needs ../shared/data. Ten minutes.
 bench-detection: setup

@@ -25,7 +25,6 @@ from bench.namespaces import ADDRESSES, Wire, may_join
 from bench.packets import INTACT, is_possible, packets
 from bench.report import Table, finish, parser
 from bench.viewer import Viewed, view
-from facemime.cli.certificates import load_identity
 from facemime.core.capture import VideoSource
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.rig import built_in_rig
@@ -33,7 +32,7 @@ from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams import datagram
 from facemime.core.streams.frames import PacketError
-from facemime.core.streams.pairing import Pairing
+from facemime.core.streams.identity import load_identity
 from facemime.core.streams.playout import Playout
 from facemime.core.streams.security import write_key
 from facemime.core.streams.sender import StreamSender
@@ -201,7 +200,7 @@ def over_tls(wire: Wire, folder: Path) -> tuple[TlsSender, StreamSettings]:
     identity = load_identity(folder)
     with wire.inside(0):
         sender = TlsSender(ADDRESSES[0], 0, identity.context, identity.token)
-    pairing = Pairing(ADDRESSES[0], sender.port, identity.fingerprint, identity.token)
+    pairing = identity.pairing(ADDRESSES[0], sender.port)
     return sender, StreamSettings(pairing=pairing)
 
 

@@ -66,7 +66,7 @@ def view(take: Take, seconds: float) -> list[Viewed]:
     """Show a take on the built-in head, and on one of more than 100,000 vertices; [] without a browser."""
     program = shutil.which("chromium")
     if program is None:
-        print("Chromium was not found. Run make browser.")
+        print("Chromium was not found. Run make programs.")
         return []
     from playwright.sync_api import sync_playwright
 

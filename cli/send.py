@@ -13,9 +13,8 @@ from ..core.heads.appearance import Appearance
 from ..core.live.head_drivers import LiveHead
 from ..core.live.worker import LiveWorker
 from ..core.puppet.job import HeadFile
-from ..core.streams.addresses import parse_address, reachable
+from ..core.streams.addresses import parse_address
 from ..core.streams.pairing import PORT as TLS_PORT
-from ..core.streams.pairing import Pairing
 from ..core.streams.sender import SENT, VTUBE_STUDIO, StreamSender
 from ..core.streams.settings import EXPRESSIONS, OWN, SendSettings
 from ..core.streams.vertices import VERTICES, VertexSender
@@ -187,8 +186,8 @@ def user_settings() -> Path:
 
 def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
+    from ..core.streams.identity import load_identity
     from ..core.streams.tls_server import TlsSender  # its libraries would delay the other commands
-    from .certificates import load_identity
 
     if job.tls is None:
         raise FacemimeError("There is no certificate. Add --tls FOLDER; it is created there the first time.")
@@ -199,8 +198,7 @@ def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
 
     def open_output(worker: LiveWorker) -> Sender:
         worker.output = sender = TlsSender(host, port, identity.context, identity.token)
-        public = parse_address(job.public, sender.port) if job.public else (reachable(host), sender.port)
-        say(Pairing(*public, identity.fingerprint, identity.token).line)
+        say(identity.pairing(host, sender.port, job.public).line)
         tell("facemime: paste this line on the other computer. Anyone who has it can receive.")
         return sender
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from ..core.errors import FacemimeError
+from ..core.heads.appearance import Appearance
 from ..core.live.worker import LiveWorker
 from ..core.puppet.job import HeadFile
 from ..core.streams.addresses import LOOPBACK, parse_address
@@ -17,6 +20,7 @@ from .terminal.options import Commands, add_command, filled
 from .terminal.stopping import STOPPING
 
 if TYPE_CHECKING:
+    from ..core.viewer.relay import RelaySender
     from ..core.viewer.server import ViewerServer
 
 
@@ -35,6 +39,10 @@ class ServeJob:
         PEM files for HTTPS.
     token : Path or None
         File that keeps the secret in the address.
+    relay : str
+        Address of a relay to send to instead, ws:// or wss://; "" for none.
+    site : Path or None
+        Folder for its secrets and its page.
     translation : bool
         Whether the head moves as well as turns.
     """
@@ -45,6 +53,8 @@ class ServeJob:
     cert: Path | None
     key: Path | None
     token: Path | None
+    relay: str
+    site: Path | None
     translation: bool
 
 
@@ -67,24 +77,33 @@ def add_commands(commands: Commands) -> None:
         metavar="FILE",
         help="file that keeps the secret part of the address (a new secret each time)",
     )
+    serve.add_argument(
+        "--relay",
+        default="",
+        metavar="URL",
+        help="send once to a NATS server at this address, ws:// or wss://, from which any number of browsers watch",
+    )
+    serve.add_argument(
+        "--site", type=Path, metavar="FOLDER", help="folder for the relay's configuration and the page to publish"
+    )
     serve.add_argument("--translation", action="store_true", help="also move the head, instead of only rotating it")
     serve.set_defaults(run=lambda given: run_serve(filled(ServeJob, given)))
 
 
 def run_serve(job: ServeJob) -> int:
     """Run `facemime serve` until the end, Ctrl-C, or the time is over; returns the exit status."""
-    from ..core.viewer.server import ViewerServer  # its libraries would delay the other commands
-
-    host, port = parse_address(job.listen or LOOPBACK, PORT)
-    token = "" if job.token is None else kept_token(job.token)
-    settings = ViewerSettings(host, port, token, job.cert, job.key)
+    if bool(job.relay) != (job.site is not None):
+        raise FacemimeError("A relay needs a folder for its page. Give both --relay URL and --site FOLDER.")
+    if job.relay and (job.listen or job.token is not None):
+        raise FacemimeError("--listen and --token are for the viewer's own server. Leave them out, or --relay.")
     head, appearance = head_to_show(job.head)
     source, neutral = job.performance.open()
-    with ViewerServer(settings, [appearance]) as server, STOPPING.noting():
+    server, announce = _server(job, appearance) if job.site is None else _relay(job, job.site, appearance)
+    with server, STOPPING.noting():
         server.follow = (True, job.translation)
         worker = LiveWorker(source, neutral=neutral, heads=(head,), options=job.performance.options)
         worker.displays = (server,)
-        _announce(server)
+        announce()
         progress = Progress(f"Serving {source.name}")
         worker.start()
         try:
@@ -95,6 +114,31 @@ def run_serve(job: ServeJob) -> int:
         raise worker.error
     progress.finish(server.message)
     return 0
+
+
+def _server(job: ServeJob, appearance: Appearance) -> tuple[ViewerServer, Callable[[], None]]:
+    """Return the viewer's own server, and what prints the address of the page."""
+    from ..core.viewer.server import ViewerServer  # its libraries would delay the other commands
+
+    host, port = parse_address(job.listen or LOOPBACK, PORT)
+    token = "" if job.token is None else kept_token(job.token)
+    server = ViewerServer(ViewerSettings(host, port, token, job.cert, job.key), [appearance])
+    return server, lambda: _announce(server)
+
+
+def _relay(job: ServeJob, folder: Path, appearance: Appearance) -> tuple[RelaySender, Callable[[], None]]:
+    """Return the sender to the relay, and what prints the folder of the page, whose name is all that viewers need."""
+    from ..core.viewer.relay import RelaySender
+    from ..core.viewer.site import Relay, Site
+
+    site = Site(folder, Relay(job.relay, job.cert, job.key))
+
+    def announce() -> None:
+        say(str(site.page))
+        tell(f"facemime: start the relay: nats-server --config {site.configuration}")
+        tell(f"facemime: publish {site.public} with a web server. Anyone who has the address of the page can watch.")
+
+    return RelaySender(site, [appearance]), announce
 
 
 def _announce(server: ViewerServer) -> None:

@@ -45,8 +45,8 @@ class FacemimePreferences(bpy.types.AddonPreferences):
     pairing: StringProperty(
         name="Pairing",
         description=(
-            "Line that facemime send --serve prints on the other computer, to receive its stream over TLS; it is "
-            "secret, and not stored in the .blend file"
+            "Line from Send > Across Networks on the other computer, to receive its stream over TLS; it is secret, and "
+            "not stored in the .blend file"
         ),
         subtype="PASSWORD",
     )

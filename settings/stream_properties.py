@@ -3,7 +3,7 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..core.streams.addresses import LOOPBACK
+from ..core.streams.addresses import EVERYWHERE, LOOPBACK
 from ..core.streams.settings import SendSettings, StreamSettings
 from ..core.viewer.settings import PORT
 from .rna import with_settings
@@ -89,6 +89,24 @@ class FacemimeOutput(bpy.types.PropertyGroup):
             *_BOTH_WAYS,
             ("vertices", "Vertices", "An engine that receives the moved vertices over TCP", 4),
             ("vtubestudio", "VTube Studio", "VTube Studio on a computer, which asks you for permission once", 5),
+        ),
+    )
+    across: BoolProperty(
+        name="Across Networks",
+        description=(
+            "Wait for paired computers, which connect over TLS from any network, instead of sending to one address"
+        ),
+    )
+    listen: StringProperty(
+        name="Listen On",
+        description="Address of this computer to which paired computers connect; 0.0.0.0 for all of its networks",
+        default=EVERYWHERE,
+    )
+    public: StringProperty(
+        name="Public Address",
+        description=(
+            "Address by which other networks reach this computer, such as that of its router, optionally with a port; "
+            "if empty, this computer's own"
         ),
     )
     host: StringProperty(name="Host", description="Address of the computer that receives the face", default=LOOPBACK)

@@ -33,6 +33,7 @@ from ..core.tracking.choice import LEFTMOST, RIGHTMOST
 from ..core.tracking.settings import TrackingSettings
 from ..core.viewer.settings import ViewerSettings
 from .bake_table import read_table
+from .pairing import listening_host, open_paired_sender
 from .preferences import preferences
 from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
 from .rna import read
@@ -41,6 +42,7 @@ from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
 
 if TYPE_CHECKING:
+    from ..core.streams.tls_server import TlsSender
     from ..core.streams.vtube_studio_api import VTubeStudioSender
 
 _DEFAULT_BAKE = BakeSettings()
@@ -217,17 +219,24 @@ def stream_settings(stream: FacemimeStream) -> StreamSettings:
     return settings
 
 
-def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender | None:
+def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender | TlsSender | None:
     """Return the sender of a live session; None if nothing is to be sent.
 
     Raises
     ------
     SourceError
-        If the receiver is not known, or is another computer and Blender's online access is turned off.
+        If the receiver is not known; if it is another computer, and Blender's online access is turned off; or if this
+        computer cannot be listened on for paired ones.
+    OutputError
+        If the certificate for paired computers cannot be written.
     """
     output = settings.output
     if not output.enabled or output.protocol == VERTICES:
         return None
+    if output.protocol == OWN and output.across:
+        if not is_loopback(host := listening_host(output)):
+            _require_online(host)
+        return open_paired_sender(output)
     key = _key(output.key) if output.protocol == OWN else None
     host = output.host.strip() or LOOPBACK
     if not is_loopback(host):

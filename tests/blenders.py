@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -17,3 +18,10 @@ def blender_python(version: str) -> Path:
     if not (place / ".ready").exists():
         pytest.skip(f"Blender {version} is not set up: make blenders (5.2 needs Python 3.13)")
     return place / "bin" / "python"
+
+
+def unpack_wheels(folder: Path) -> None:
+    """Unpack the extension's compiled wheels for Linux, which those environments do not contain."""
+    for wheel in (ROOT / "wheels").glob("*manylinux*.whl"):
+        with zipfile.ZipFile(wheel) as archive:
+            archive.extractall(folder)

@@ -40,11 +40,23 @@ def main() -> int:
 
 
 def fetch_wheels(manifest: dict) -> None:
-    """Download the pinned wheels of every platform unless they are present; their hashes are checked."""
+    """Download the pinned wheels of every platform unless they are present; their hashes are checked.
+
+    Others are removed, such as the one for macOS on Intel that pip prefers to the one for both processors, as Blender's
+    tool packs all that it finds.
+    """
     named = {Path(wheel).name for wheel in manifest["wheels"]}
-    if all((WHEELS / name).is_file() for name in named):
-        return
     WHEELS.mkdir(exist_ok=True)
+    if not named <= {path.name for path in WHEELS.iterdir()}:
+        _download_wheels(manifest)
+    for path in WHEELS.iterdir():
+        if path.name not in named:
+            path.unlink()
+    if missing := named - {path.name for path in WHEELS.iterdir()}:
+        raise SystemExit(f"Wheels in blender_manifest.toml that requirements/wheels.txt does not provide: {missing}")
+
+
+def _download_wheels(manifest: dict) -> None:
     for platform in manifest["platforms"]:
         subprocess.run(
             [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
@@ -53,8 +65,6 @@ def fetch_wheels(manifest: dict) -> None:
             + ["-r", str(ROOT / "requirements" / "wheels.txt")],
             check=True,
         )
-    if missing := named - {path.name for path in WHEELS.iterdir()}:
-        raise SystemExit(f"Wheels in blender_manifest.toml that requirements/wheels.txt does not provide: {missing}")
 
 
 def blender_tool() -> Path:

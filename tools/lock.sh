@@ -6,7 +6,6 @@ uv() { ../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
 ../.venv/bin/pip install --quiet uv
 uv --universal --python-version 3.11 dev.in -o dev.txt
 uv --universal --python-version 3.11 farm.in -o farm.txt
-uv --universal --python-version 3.11 -c dev.txt tls.in -o tls.txt
 uv --python-version 3.11 training.in -o training.txt
 uv --python-version 3.11 --no-deps node.in -o node.txt
 uv --python-version 3.11 --allow-unsafe peers.in -o peers.txt

@@ -40,6 +40,7 @@ _MANUAL = (
     ("bpy.ops.facemime.*take*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_sound*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_reference*", f"{_TAKES}#in-blender"),
+    ("bpy.ops.facemime.*pairing*", "streams.html#across-networks"),
     ("bpy.ops.facemime.*key*", f"{_TAKES}#key-mappings"),
     ("bpy.ops.facemime.*calibrate*", f"{_WEBCAM}#calibrate"),
     ("bpy.ops.facemime.*performer*", f"{_WEBCAM}#calibrate"),

@@ -9,6 +9,7 @@ from ..blender.messages import interface as _
 from ..core.streams.settings import OWN
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
+from ..settings.stream_properties import FacemimeOutput
 from ..settings.values import whole_file
 from .sidebar import Sidebar, is_narrow, labels, place, side_by_side, split_labels
 from .status import draw_progress, received, status_lines
@@ -80,6 +81,11 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
         split_labels(layout)
         layout.active = output.enabled
         layout.prop(output, "protocol")
+        if output.protocol == OWN:
+            layout.prop(output, "across")
+            if output.across:
+                _draw_paired(layout, output)
+                return
         column = layout.column(align=True)
         column.prop(output, "host")
         column.prop(output, "port")
@@ -89,6 +95,17 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
             layout.prop(output, "subject")
         elif output.protocol == "vmc":
             layout.prop(output, "expressions")
+
+
+def _draw_paired(layout: bpy.types.UILayout, output: FacemimeOutput) -> None:
+    """Draw how paired computers reach this one."""
+    column = layout.column(align=True)
+    column.prop(output, "listen")
+    column.prop(output, "port")
+    column.prop(output, "public", placeholder=_("This Computer"))
+    row = layout.row(align=True)
+    row.operator("facemime.copy_pairing_line", icon="COPYDOWN")
+    row.operator("facemime.renew_pairing_line", text="", icon="FILE_REFRESH")
 
 
 class FACEMIME_PT_incoming(Sidebar, bpy.types.Panel):

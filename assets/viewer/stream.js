@@ -35,10 +35,7 @@ export class Stream {
         const socket = new WebSocket(this.address);
         socket.binaryType = "arraybuffer";
         socket.onopen = () => {
-            this.connected = true;
-            this._attempt = 0;
-            this._answers = [];
-            this.socket = socket;
+            this._open(socket);
             this._ask();
         };
         socket.onmessage = ({ data }) => this._receive(data);
@@ -47,6 +44,13 @@ export class Stream {
             this.scene = this.frame = null;
             setTimeout(() => this._connect(), PATIENCE[Math.min(this._attempt++, PATIENCE.length - 1)]);
         };
+    }
+
+    _open(socket) {
+        this.connected = true;
+        this._attempt = 0;
+        this._answers = [];
+        this.socket = socket;
     }
 
     _ask() {

@@ -4,6 +4,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Avatar } from "./avatar.js";
 import { toggle, whyNot } from "./immersive.js";
+import { RelayStream } from "./relay.js";
 import { light, seat } from "./room.js";
 import { Stream } from "./stream.js";
 import { text } from "./texts.js";
@@ -33,7 +34,9 @@ class Viewer {
         this.updates = this.drawn = this.shown = 0;
         this.rate = this.latency = null;
         this._counted = { at: performance.now(), updates: 0 };
-        this.stream = new Stream(new URL("stream", location.href).href.replace(/^http/, "ws"));
+        const { relay, password } = document.documentElement.dataset;
+        const own = new URL("stream", location.href).href.replace(/^http/, "ws");
+        this.stream = relay ? new RelayStream(relay, password) : new Stream(own);
         place("reset").textContent = text("reset");
         place("reset").onclick = () => this.frame();
         place("picture").ariaLabel = text("view");

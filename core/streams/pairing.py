@@ -82,8 +82,7 @@ def parse_pairing(text: str) -> Pairing:
     found = _LINE.fullmatch(text.strip())
     if found is None:
         raise SourceError(
-            "This is not a complete pairing line. Paste the whole line that facemime send --serve shows, starting with "
-            "facemime://."
+            "This is not a complete pairing line. Paste the whole line of the sending computer, starting with facemime://."
         )
     host, port = parse_address(found[2], PORT)
     return Pairing(host, port, bytes.fromhex(found[3]), bytes.fromhex(found[1]))

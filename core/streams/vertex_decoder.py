@@ -127,7 +127,10 @@ def _within(points: FloatArray) -> FloatArray:
 
 def _pose(data: bytes) -> tuple[FloatArray, FloatArray]:
     """Return the rotation (3, 3) and translation (3,) of a frame, in the head frame."""
-    numbers = np.frombuffer(data, "<f4", _POSE, FRAME_HEADER.size).astype(np.float64)
+    stored = np.frombuffer(data, "<f4", _POSE, FRAME_HEADER.size)
+    if not np.isfinite(stored).all():
+        raise PacketError("a number is not finite")
+    numbers = stored.astype(np.float64)
     turn = TO_RECEIVER[:, None] * numbers[:9].reshape(3, 3) * TO_RECEIVER
     if not (np.abs(turn @ turn.T - np.eye(3)) <= _ROUND).all() or linalg.det(turn) < 0.0:
         raise PacketError("the rotation is not valid")

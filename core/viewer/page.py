@@ -97,14 +97,25 @@ def security_headers(host: str, *, secure: bool) -> dict[str, str]:
     """
     socket = f"{'wss' if secure else 'ws'}://{host}"
     return {
-        "Content-Security-Policy": (
-            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
-            f"connect-src 'self' {socket}; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"
-        ),
+        "Content-Security-Policy": f"{content_policy(socket)}; frame-ancestors 'none'",
         "Cross-Origin-Resource-Policy": "same-origin",
         "Referrer-Policy": "no-referrer",
         "X-Content-Type-Options": "nosniff",
     }
+
+
+def content_policy(socket: str) -> str:
+    """Return the policy by which the page runs its own scripts only, and connects only to its server.
+
+    Parameters
+    ----------
+    socket : str
+        Address of the server's WebSocket.
+    """
+    return (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
+        f"connect-src 'self' {socket}; base-uri 'none'; form-action 'none'"
+    )
 
 
 def _content(name: str, data: bytes, *, lasting: bool) -> Content:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import asyncio
 import gzip
-import json
 import logging
 import threading
 from collections.abc import Sequence
@@ -26,15 +25,15 @@ from websockets.protocol import State
 from websockets.server import ServerProtocol
 
 from ..drive.driver import HeadDriver, HeadFrame
-from ..errors import FacemimeError
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
 from ..streams.addresses import cannot_listen
 from ..streams.background import Serving, listening
 from .gate import MAX_CONNECTIONS, Gate, Guest
 from .messages import CLOCK_REQUEST, encode_clock, encode_frame
-from .model import ViewerModel, viewer_model
-from .page import Content, digest, page_files, security_headers
+from .model import ViewerModel
+from .page import Content, page_files, security_headers
+from .scene import Scene, description
 from .settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
 
 _STREAM = "stream"
@@ -109,14 +108,12 @@ class ViewerServer(Serving):
     """
 
     def __init__(self, settings: ViewerSettings, appearances: Sequence[Appearance]) -> None:
-        self.settings, self.appearances = settings, tuple(appearances)
+        self.settings = settings
         self.follow = (True, False)
         self.viewers = self.sent = 0
         self.message = self.address = ""
         self._token = settings.token or new_token()
-        self._models: tuple[ViewerModel, ...] = ()
-        self._made_of: list[object] = []
-        self._scene = 0
+        self._scene = Scene(appearances)
         self._frame = b""
         self._files = page_files()
         self._context = settings.context()
@@ -136,26 +133,15 @@ class ViewerServer(Serving):
         """Show a frame. See `Display.show`."""
         if not frames:
             return
-        made_of = [part for driver in drivers for part in _made_of(driver)]
-        if len(made_of) != len(self._made_of) or any(a is not b for a, b in zip(made_of, self._made_of, strict=True)):
-            self._made_of = made_of
-            self._prepare(drivers)
-        if not self._models:
+        scene = self._scene
+        if scene.update(drivers):
+            self.message = scene.message
+            self._call(partial(self._replace, scene.number, scene.path, scene.models))
+        if not scene.models:
             return
         self.sent += 1
-        frame = encode_frame(self._scene, self.sent, taken, self._models, frames, self.follow)
+        frame = encode_frame(scene.number, self.sent, taken, scene.models, frames, self.follow)
         self._call(partial(self._publish, frame))
-
-    def _prepare(self, drivers: Sequence[HeadDriver | KeyDriver]) -> None:
-        """Make what the pages load if the heads or their deformers have changed."""
-        try:
-            models = tuple(map(viewer_model, drivers, self.appearances))
-            self.message = ""
-        except FacemimeError as error:
-            models, self.message = (), str(error)
-        self._scene, self._models = self._scene + 1, models
-        path = digest(*[data for model in models for data in (model.data, *model.images)])
-        self._call(partial(self._replace, self._scene, path, models))
 
     # The methods below run in the server's thread.
 
@@ -316,8 +302,7 @@ class ViewerServer(Serving):
                 wake.clear()
                 if scene != self._served[0]:
                     scene, path, models = self._served
-                    images = [len(model.images) for model in models]
-                    await connection.send(json.dumps({"scene": scene & 0xFFFF, "path": path, "images": images}))
+                    await connection.send(description(scene, path, models))
                 elif self._frame and self._frame is not last:
                     last = self._frame
                     await connection.send(last)
@@ -344,12 +329,6 @@ class ViewerServer(Serving):
 def _header(request: Request, name: str) -> str:
     """Return a header; one that comes twice is not a host or an origin."""
     return ", ".join(request.headers.get_all(name))
-
-
-def _made_of(driver: HeadDriver | KeyDriver) -> tuple[object, ...]:
-    """Return the objects that a model depends on, compared by identity; a new calibration keeps them."""
-    head = driver.head if isinstance(driver, KeyDriver) else driver
-    return driver.keys if isinstance(driver, KeyDriver) else None, head.rig, head.deformer
 
 
 def _index(text: str, count: int) -> int | None:

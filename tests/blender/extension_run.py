@@ -6,8 +6,10 @@ Usage: python extension_run.py ARCHIVE CLIP. Prints one line of JSON; the exit s
 import importlib
 import json
 import os
+import socket
 import sys
 import tempfile
+import time
 import urllib.request
 from pathlib import Path
 
@@ -46,6 +48,7 @@ def main() -> dict:
         page = answer.read().decode()
     measured = {
         "page": page,
+        "received": send_across_networks(bpy),
         "blender": bpy.app.version_string,
         "python": sys.version.split()[0],
         "vertices": len(head.data.vertices),
@@ -69,6 +72,33 @@ def main() -> dict:
     assert all(path.is_file() for path in own), "a take or preset was removed with the extension"
     assert (own[0].parent / "earlier.facetake").is_file() and not earlier.exists()
     return measured
+
+
+def send_across_networks(bpy) -> int:
+    """Send a face to a paired receiver over TLS with what the extension contains; return the number of frames."""
+    streams, output = f"{MODULE}.core.streams", bpy.context.scene.facemime.output
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        output.port = probe.getsockname()[1]
+    output.enabled, output.across, output.listen = True, True, "127.0.0.1"
+    line = importlib.import_module(f"{MODULE}.settings.pairing").pairing_line(output)
+    import Cryptodome
+
+    assert Path(Cryptodome.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), Cryptodome.__file__
+    pairing = importlib.import_module(f"{streams}.pairing").parse_pairing(line)
+    settings = importlib.import_module(f"{streams}.settings").StreamSettings(pairing=pairing)
+    source = importlib.import_module(f"{streams}.source").StreamSource(settings, every=True)
+    face = importlib.import_module(f"{MODULE}.core.takes.from_coefficients").coefficient_face()
+    result = face.result([0.5] * 52, [0.0] * 3, None)
+    sender = importlib.import_module(f"{MODULE}.settings.values").open_sender(bpy.context.scene.facemime)
+    received, end = 0, time.monotonic() + 60.0
+    while received < 3 and time.monotonic() < end:
+        sender.send(time.monotonic(), result, None)
+        received += source.read(0.05) is not None
+    source.close()
+    sender.close()
+    output.enabled = False
+    return received
 
 
 def keep_files(bpy) -> list[Path]:

@@ -15,13 +15,15 @@ from vtube_studio import running as at_port
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
-from facemime.cli.certificates import load_identity
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.errors import SourceError
+from facemime.core.streams.identity import load_identity
 from facemime.core.streams.live_link import LiveLinkDecoder
-from facemime.core.streams.pairing import Pairing
+from facemime.core.streams.pairing import Pairing, parse_pairing
 from facemime.core.streams.sender import StreamSender
-from facemime.core.streams.settings import SendSettings
+from facemime.core.streams.settings import SendSettings, StreamSettings
+from facemime.core.streams.source import StreamSource
 from facemime.core.streams.tls_server import TlsSender
 from facemime.core.streams.vertices import VertexSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
@@ -29,6 +31,7 @@ from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
+from facemime.settings.pairing import pairing_line
 from facemime.settings.performers import read_calibration, write_calibration
 from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source
@@ -355,13 +358,55 @@ def test_a_paired_computer_drives_a_head_over_tls(pairing, online, tmp_path):
     with closing(sender), performing(sender, coefficient_take(60)):
         settings = bpy.context.scene.facemime
         settings.source.kind, settings.source.stream.protocol, settings.smoothing = "STREAM", "own", 0.0
-        pairing.pairing = Pairing("localhost", sender.port, identity.fingerprint, identity.token).line
+        pairing.pairing = identity.pairing("localhost", sender.port).line
         head = add_head(bpy.context)
         rest = shown(head)
         start()
         ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
         assert running().worker.source.name == f"Facemime at localhost:{sender.port}"
         bpy.ops.facemime.stop_puppet()
+
+
+@pytest.fixture
+def across(tmp_path, monkeypatch):
+    """Sending across networks, on a free port of this computer, with an identity of its own."""
+    monkeypatch.setattr("facemime.settings.pairing.private_folder", lambda name: tmp_path / name)
+    output = bpy.context.scene.facemime.output
+    output.enabled, output.across, output.listen, output.port = True, True, "127.0.0.1", free_port()
+    return output
+
+
+def test_a_paired_computer_receives_what_blender_sends_across_networks(across, phone):
+    add_head(bpy.context)
+    assert bpy.ops.facemime.copy_pairing_line() == {"FINISHED"}
+    line = bpy.context.window_manager.clipboard or pairing_line(across)  # without a window, there is no clipboard
+    start()
+    with closing(StreamSource(StreamSettings(pairing=parse_pairing(line)), every=True)) as receiver:
+        received = []
+        ticks_until(lambda: received.append(receiver.read(0.0)) or sum(one is not None for one in received) > 10)
+        sent = running().worker.output
+        assert sent.receivers == 1 and sent.sent > 10 and not sent.message
+        faces = [one.result for one in received if one is not None and one.result.found]
+        assert len(faces) > 5 and np.abs(faces[-1].shape).max() > 0.1
+    assert not bpy.ops.facemime.renew_pairing_line.poll(), "the puppet sends with the line"
+    bpy.ops.facemime.stop_puppet()
+    assert bpy.ops.facemime.renew_pairing_line() == {"FINISHED"} and pairing_line(across) != line
+
+
+def test_sending_across_networks_needs_online_access_unless_it_stays_on_this_computer(across, online):
+    across.listen = ""
+    with pytest.raises(SourceError, match="Online Access"):
+        open_sender(bpy.context.scene.facemime)
+    across.listen = "localhost"
+    open_sender(bpy.context.scene.facemime).close()
+
+
+def test_the_line_states_the_address_by_which_others_reach_this_computer(across):
+    across.public = "studio.example"
+    assert parse_pairing(pairing_line(across)).address == f"studio.example:{across.port}"
+    across.public = "https://studio.example"
+    with pytest.raises(RuntimeError, match="not an address"):
+        bpy.ops.facemime.copy_pairing_line()
 
 
 def test_a_pairing_needs_online_access_and_a_complete_line(pairing, online):

@@ -4,13 +4,12 @@ import importlib.util
 import os
 import subprocess
 import sys
-import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from blenders import ROOT, blender_python
+from blenders import ROOT, blender_python, unpack_wheels
 
 pytestmark = [pytest.mark.thorough, pytest.mark.timeout(1800)]
 
@@ -48,8 +47,7 @@ def run_suites(version: str, folder: Path) -> ElementTree.Element:
         origin = origin.parent if origin.name == "__init__.py" else origin
         (folder / origin.name).symlink_to(origin)
     (folder / "facemime").symlink_to(ROOT)
-    with zipfile.ZipFile(next((ROOT / "wheels").glob("*manylinux*.whl"))) as wheel:
-        wheel.extractall(folder)
+    unpack_wheels(folder)
     suites = [str(ROOT / "tests" / "blender" / f"test_{suite}.py") for suite in SUITES]
     options = ["-p", "no:cacheprovider", "-p", "pytest_timeout", "-W", "ignore::DeprecationWarning"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST", "VIRTUAL_ENV"))}

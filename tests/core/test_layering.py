@@ -41,7 +41,7 @@ FLOORS = (
 """From the bottom up; a folder without the packages in it, or a module of the root. Layers import from those below."""
 ROOMS = tuple(path.name for path in ROOT.iterdir() if path.is_dir() and f"{path.name}" in FLOORS)
 MODULES = sorted(path for room in ROOMS for path in (ROOT / room).rglob("*.py"))
-LIBRARIES = {"numpy", "cv2", "websockets"}
+LIBRARIES = {"numpy", "cv2", "websockets", "Cryptodome"}
 BLENDERS = {"bpy", "bpy_extras", "bmesh", "mathutils", "gpu", "gpu_extras", "blf", "aud"}
 
 

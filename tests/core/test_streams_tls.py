@@ -11,6 +11,7 @@ import threading
 import time
 from contextlib import closing, suppress
 from dataclasses import replace
+from datetime import UTC, datetime
 from itertools import pairwise
 
 import numpy as np
@@ -19,8 +20,8 @@ from clocks import PATIENCE, wait_for
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.cli.certificates import load_identity
 from facemime.core.errors import SourceError
+from facemime.core.streams.identity import der_time, load_identity, renew_identity
 from facemime.core.streams.pairing import ANSWER, GREETING, LENGTH, MAGIC, VERSION, Pairing, parse_pairing
 from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
@@ -46,7 +47,7 @@ def server(identity):
 
 
 def pairing_of(identity, port: int) -> Pairing:
-    return Pairing("127.0.0.1", port, identity.fingerprint, identity.token)
+    return identity.pairing("127.0.0.1", port)
 
 
 def opened(pairing: Pairing) -> StreamSource:
@@ -257,11 +258,52 @@ def test_the_identity_stays_and_only_its_owner_can_read_it(tmp_path):
         assert {path.stat().st_mode & 0o077 for path in (tmp_path / "mine").iterdir()} == {0}
 
 
-def test_without_cryptography_the_error_says_what_to_install(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "cryptography", None)
-    with pytest.raises(SourceError, match="pip install cryptography"):
-        load_identity(tmp_path / "mine")
-    assert not (tmp_path / "mine").exists()
+def verified_by_openssl(folder) -> bool:
+    """Whether OpenSSL verifies the certificate of an identity, if it trusts it, with the signature on itself."""
+    identity, stored = load_identity(folder), folder / "certificate.pem"
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+    context.check_hostname = False
+    context.verify_flags |= 0x4000  # X509_V_FLAG_CHECK_SS_SIGNATURE
+    context.load_verify_locations(cadata=stored.read_text())
+    with (
+        closing(TlsSender("127.0.0.1", 0, identity.context, identity.token)) as sender,
+        socket.create_connection(("127.0.0.1", sender.port), PATIENCE) as connection,
+    ):
+        try:
+            with context.wrap_socket(connection) as secured:
+                return secured.version() == "TLSv1.3"
+        except ssl.SSLCertVerificationError:
+            return False
+
+
+def test_openssl_verifies_the_certificate_with_its_own_signature(tmp_path):
+    load_identity(tmp_path)
+    assert verified_by_openssl(tmp_path)
+    stored = tmp_path / "certificate.pem"
+    damaged = bytearray(ssl.PEM_cert_to_DER_cert(stored.read_text()))
+    damaged[-1] ^= 1
+    stored.write_text(ssl.DER_cert_to_PEM_cert(bytes(damaged)))
+    assert not verified_by_openssl(tmp_path)
+
+
+@pytest.mark.parametrize(("year", "expected"), [(2049, (0x17, b"490102030405Z")), (2050, (0x18, b"20500102030405Z"))])
+def test_times_are_written_with_four_digits_of_the_year_from_2050_on(year, expected):
+    assert der_time(datetime(year, 1, 2, 3, 4, 5, tzinfo=UTC)) == expected
+
+
+def test_a_renewed_identity_revokes_earlier_lines(tmp_path):
+    before = load_identity(tmp_path)
+    renew_identity(tmp_path)
+    after = load_identity(tmp_path)
+    assert after.fingerprint != before.fingerprint and after.token != before.token
+
+
+def test_the_line_states_the_public_address_or_else_this_computers(identity):
+    assert identity.pairing("192.168.1.7", 21576).address == "192.168.1.7:21576"
+    assert identity.pairing("0.0.0.0", 21576, "studio.example").address == "studio.example:21576"
+    assert identity.pairing("0.0.0.0", 21576, "studio.example:443").address == "studio.example:443"
+    with pytest.raises(SourceError, match="not an address"):
+        identity.pairing("0.0.0.0", 21576, "http://studio.example")
 
 
 def test_a_damaged_identity_is_a_clear_error(tmp_path):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.util
-import shutil
 import socket
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.vertices import VertexSender, encode_frame, encode_mesh
 from links import all_the_time, free_port
+from programs import program
 from watching import NEUTRAL, built_in, face
 
 RECEIVERS = Path(__file__).resolve().parents[2] / "docs" / "receivers"
@@ -197,16 +197,17 @@ def test_the_command_sends_to_the_documented_script(take):
     assert len(frames) > 5 and max(float(line.split()[-1]) for line in frames) > 0.002
 
 
-@pytest.mark.skipif(shutil.which("mcs") is None, reason="mono is missing, which compiles C#")
 def test_the_script_for_unity_receives_the_same(tmp_path):
     (tmp_path / "Program.cs").write_text(PROGRAM)
-    program, port = tmp_path / "receive.exe", free_port()
+    built, port = tmp_path / "receive.exe", free_port()
     sources = [str(RECEIVERS / "FacemimeReceiver.cs"), str(tmp_path / "Program.cs")]
-    subprocess.run(["mcs", "-warnaserror", f"-out:{program}", *sources], check=True)
+    subprocess.run([program("mcs"), "-warnaserror", f"-out:{built}", *sources], check=True)
     driver, looks = built_in()
     frame = driver.frame(face(1))
-    with subprocess.Popen(["mono", str(program), str(port)], stdout=subprocess.PIPE, text=True) as receiver:
+    with subprocess.Popen(["mono", str(built), str(port)], stdout=subprocess.PIPE, text=True) as receiver:
         assert receiver.stdout.readline() == "ready\n"
+        with socket.create_connection(("127.0.0.1", port), PATIENCE) as stranger:
+            stranger.sendall(b"\xff" * 64)
         with VertexSender("127.0.0.1", port, [looks]) as sender:
             sender.show(0.0, [driver], [frame])
             name = receiver.stdout.readline()

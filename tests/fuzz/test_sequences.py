@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import zipfile
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-from blenders import ROOT, blender_python
+from blenders import ROOT, blender_python, unpack_wheels
 
 pytestmark = [
     pytest.mark.thorough,
@@ -54,8 +53,7 @@ class Player:
         paths = folder / "paths"
         paths.mkdir()
         (paths / "facemime").symlink_to(ROOT)
-        with zipfile.ZipFile(next((ROOT / "wheels").glob("*manylinux*.whl"))) as wheel:
-            wheel.extractall(paths)
+        unpack_wheels(paths)
         inherited = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST", "VIRTUAL_ENV"))}
         self._environment = inherited | {
             "PYTHONPATH": str(paths),

@@ -261,7 +261,7 @@ def shoot() -> Iterator[Path]:
 def test_the_fourth_tutorial_is_walked_and_its_picture_shows_the_report(shoot):
     browser = shutil.which("chromium") or shutil.which("chromium-browser")
     if browser is None:
-        pytest.skip("Chromium is missing: make browser")
+        pytest.skip("Chromium is missing: make programs")
     clips = shoot / "clips"
     clips.mkdir()
     cut(clips / "hello.mp4", 0, 100)

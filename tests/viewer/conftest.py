@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
+from programs import program
 from watching import Watched
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -19,12 +19,9 @@ SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftsha
 @pytest.fixture(scope="session")
 def browser() -> Iterator[Browser]:
     """Return a browser; skip with a reason if there is none."""
-    program = shutil.which("chromium")
-    if program is None:
-        reason = ROOT / "build" / "viewer" / "no-browser.txt"
-        pytest.skip(reason.read_text().strip() if reason.exists() else "Chromium is missing: make browser")
+    path = program("chromium")
     with sync_playwright() as playwright:
-        started = playwright.chromium.launch(executable_path=program, args=SOFTWARE)
+        started = playwright.chromium.launch(executable_path=path, args=SOFTWARE)
         yield started
         started.close()
 
