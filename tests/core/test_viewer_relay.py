@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import ssl
 import stat
 import subprocess
 import sys
@@ -19,6 +21,7 @@ from websockets.sync.client import connect
 from commands import START, run
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import OutputError, SourceError
+from facemime.core.streams.identity import load_identity
 from facemime.core.viewer.messages import encode_frame
 from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.nats import MAX_PAYLOAD, NatsError, NatsReader, connecting, publishing, subscribing
@@ -113,6 +116,20 @@ def test_nobody_connects_with_another_password(site, user, password):
         assert "Authorization Violation" in viewer.next("-ERR", PATIENCE)
         with pytest.raises(ConnectionClosed):
             viewer.next("MSG", PATIENCE)
+
+
+def test_a_relay_with_a_certificate_is_reached_over_tls(tmp_path):
+    load_identity(tmp_path / "own")
+    files = tmp_path / "own" / "certificate.pem", tmp_path / "own" / "key.pem"
+    made = Site(tmp_path, Relay(f"wss://127.0.0.1:{free_port()}/", *files))
+    context = ssl.create_default_context(cafile=str(files[0]))
+    context.check_hostname = False
+    with relaying(made), connect(made.relay.url, ssl=context, proxy=None) as connection:
+        connection.send(connecting(VIEWER, made.page.name))
+        while b"PONG" not in connection.recv(PATIENCE):
+            pass
+    page = html.unescape((made.page / "index.html").read_text())
+    assert f"connect-src 'self' {made.relay.url};" in page
 
 
 def test_a_refused_sender_says_so(site, tmp_path):
