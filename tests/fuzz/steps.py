@@ -189,6 +189,8 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "choose_camera": press("choose_camera", camera=one_of("0", "none")),
     "open_viewer": press("open_viewer"),
     "copy_viewer_address": press("copy_viewer_address"),
+    "copy_pairing_line": press("copy_pairing_line"),
+    "renew_pairing_line": press("renew_pairing_line"),
     **{name: press(name) for name in (f"finish_parts_{number}" for number in range(7))},
     "tick": tick,
 }
