@@ -35,7 +35,7 @@ def pairing_line(output: FacemimeOutput) -> str:
     Raises
     ------
     SourceError
-        If the public address is none, or the stored certificate cannot be used.
+        If the public address is not an address, or the stored certificate cannot be used.
     OutputError
         If the certificate cannot be written.
     """

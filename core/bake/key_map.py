@@ -33,8 +33,6 @@ ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 """Coefficients without which keys do not form a set for a whole face."""
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
-_LISTED = 4
-"""Coefficients without a key that a message names."""
 _RIDGE = 1e-3
 """Ridge of equation 9.6 towards the gains of the given table."""
 _FIRMNESS = 1e5
@@ -121,12 +119,10 @@ class KeyMap:
 
     def summary(self) -> str:
         """Return a text that says how much of a performance the keys can show."""
-        keys, missing = len(self.keys), [name for name in COEFFICIENTS if name not in self.sources]
-        if not missing:
+        keys, shown_of = len(self.keys), len(self.sources)
+        if shown_of == len(COEFFICIENTS):
             return f"{self.short_name}: {keys} shape keys for all 52 movements."
-        names = ", ".join([*missing[:_LISTED], *(["..."] if len(missing) > _LISTED else [])])
-        shown_of = len(COEFFICIENTS) - len(missing)
-        return f"{self.short_name}: {keys} shape keys for {shown_of} of 52 movements, not for {names}."
+        return f"{self.short_name}: {keys} shape keys for {shown_of} of 52 movements."
 
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
         """Compute the values of shape keys.

@@ -127,7 +127,7 @@ def recognise(data: bytes, settings: StreamSettings) -> str | None:
     Returns
     -------
     str or None
-        Name of the protocol in `PROTOCOLS`; None if it is none of them.
+        Name of the protocol in `PROTOCOLS`; None for any other.
     """
     mine = PROTOCOLS[settings.protocol]
     if data.startswith(MAGIC) and not mine.motion_port:

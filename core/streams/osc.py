@@ -92,7 +92,7 @@ def is_bundle(data: bytes) -> bool:
 
 
 def numbers(arguments: tuple[Argument, ...], count: int) -> tuple[float, ...]:
-    """Return the first arguments as numbers, which some programs send as integers; PacketError if one is none."""
+    """Return the first arguments as numbers, which some programs send as integers; PacketError for anything else."""
     values = [float(value) for value in arguments[:count] if isinstance(value, int | float)]
     if len(values) != count:
         raise PacketError("numbers are missing")

@@ -41,7 +41,7 @@ def unit_of_angles(angles: FloatArray, coefficients: FloatArray) -> str:
     Parameters
     ----------
     angles : (N, 9) float64
-        Angles in the order of `HEAD` and `EYES`; 0 where there are none.
+        Angles in the order of `HEAD` and `EYES`; 0 for those that are missing.
     coefficients : (N, 52) float64
         Coefficients in the order of `COEFFICIENTS`.
 

@@ -46,7 +46,7 @@ class NatsReader:
         self._data = bytearray()
 
     def feed(self, data: bytes) -> list[Operation]:
-        """Return the operations that are complete with more data; NatsError if they are none."""
+        """Return the operations that are complete with more data; NatsError if they are something else."""
         self._data += data
         found, start = [], 0
         while (end := self._data.find(_END, start)) >= 0:
