@@ -3,7 +3,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Avatar } from "./avatar.js";
-import { toggle, whyNot } from "./immersive.js";
+import { Immersion, whyNot } from "./immersive.js";
 import { RelayStream } from "./relay.js";
 import { light, seat } from "./room.js";
 import { Stream } from "./stream.js";
@@ -16,6 +16,7 @@ const KEYS = {
     "+": [0, 0, CLOSER], "=": [0, 0, CLOSER], "-": [0, 0, 1 / CLOSER], _: [0, 0, 1 / CLOSER],
 };
 const place = (name) => document.getElementById(name);
+const write = (name, words) => place(name).textContent === words || (place(name).textContent = words);
 
 class Viewer {
     constructor() {
@@ -45,19 +46,24 @@ class Viewer {
         name();
         this.renderer.xr.addEventListener("sessionstart", name);
         this.renderer.xr.addEventListener("sessionend", name);
+        this.renderer.xr.addEventListener("sessionend", () => this.leave());
+        for (const button of document.querySelectorAll("button")) button.addEventListener("beforexrselect", (event) => event.preventDefault());
+        this.immersion = null;
+        this.reason = ""; // why there is no augmented reality
         place("immersive").onclick = () => this.immerse();
         whyNot().then((reason) => {
             place("immersive").hidden = reason !== "";
-            place("reason").textContent = reason && text(reason);
+            this.reason = reason && text(reason);
         });
-        this.renderer.setAnimationLoop(() => this.draw());
+        this.renderer.setAnimationLoop((_, frame) => this.draw(frame));
     }
 
     // Put the camera where it sees everything.
     frame() {
         if (!this.room) return;
-        this.camera.position.copy(this.room.eye);
-        this.controls.target.copy(this.room.target);
+        const { eye, target, wide } = this.room;
+        this.camera.position.copy(eye).sub(target).multiplyScalar(Math.max(1, wide / this.camera.aspect)).add(target);
+        this.controls.target.copy(target);
         this.controls.update();
     }
 
@@ -80,20 +86,32 @@ class Viewer {
     }
 
     async immerse() {
+        if (this.immersion) return this.immersion.session.end();
         try {
-            await toggle(this.renderer, this.scene, this.room, document.querySelector("footer"));
+            const session = await Immersion.ask(document.querySelector("footer"));
+            this.immersion = new Immersion(this.renderer, this.scene, session);
+            this.reason = "";
+            await this.immersion.begin();
         } catch (error) {
-            place("reason").textContent = error.message;
+            this.leave();
+            this.reason = error.message;
         }
     }
 
-    draw() {
+    leave() {
+        this.immersion?.restore(this.room);
+        this.immersion = null;
+        this.stale = true;
+    }
+
+    draw(xr) {
         const { scene } = this.stream;
         if (scene && scene !== this.loaded) this.load(scene);
         const frame = this.room && !this.loading ? this.stream.take() : null;
         if (frame && frame.scene === this.loaded.scene) this.show(frame);
         this.resize();
         if (!this.renderer.xr.isPresenting) this.controls.update();
+        else if (xr && this.room) this.immersion?.update(xr, this.room);
         if (this.stale || this.renderer.xr.isPresenting) {
             this.stale = false;
             this.renderer.render(this.scene, this.camera);
@@ -180,7 +198,9 @@ class Viewer {
         }
         const waiting = this.failure && this.loaded === this.stream.scene ? this.failure : this.room ? "" : text("waiting");
         const message = this.stream.connected ? waiting : text("lost");
-        if (place("message").textContent !== message) place("message").textContent = message;
+        write("message", message);
+        const places = this.immersion?.finds && !this.immersion.place;
+        write("reason", places ? text("place").replace("\n", " ") : this.reason);
     }
 }
 

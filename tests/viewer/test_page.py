@@ -199,48 +199,6 @@ def test_the_page_reports_its_speed(open_page, watched):
 
 
 @pytest.mark.thorough
-def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(browser, watched):
-    emulated = ROOT / "build" / "viewer" / "node_modules" / "iwer" / "build" / "iwer.min.js"
-    if not emulated.exists():
-        pytest.skip("the emulated headset is missing: make viewer")
-    shown = watched()
-    shown.show(face())
-    context = browser.new_context(viewport={"width": 160, "height": 160})
-    context.add_init_script(path=emulated)
-    context.add_init_script(
-        "globalThis.headset = new IWER.XRDevice(IWER.metaQuest3); headset.installRuntime({ forceInstall: true });"
-    )
-    page = context.new_page()
-    page.goto(shown.address)
-    loaded(page)
-    until(page, "!document.getElementById('immersive').hidden")
-    page.evaluate(
-        "asked = []; const ask = navigator.xr.requestSession.bind(navigator.xr);"
-        "navigator.xr.requestSession = (...given) => (asked.push(given), ask(...given)); 0"
-    )
-    button = page.locator("#immersive")
-    assert button.text_content() == "Augmented Reality"
-    page.evaluate("document.getElementById('immersive').click()")
-    until(page, "viewer.renderer.xr.isPresenting")
-    ((mode, options),) = page.evaluate("asked.map(([mode, { optionalFeatures }]) => [mode, optionalFeatures])")
-    assert mode == "immersive-ar" and options == ["dom-overlay"], "only what the page uses"
-    until(page, "document.getElementById('immersive').textContent === 'Leave'")
-    place = page.evaluate("viewer.room.group.position.toArray()")
-    assert place[2] < -0.5 and page.evaluate("viewer.scene.background === null"), "in front of the viewer, in the room"
-    drawn = page.evaluate("viewer.drawn")
-    (frame,) = shown.show(face(1))
-    shown_on(page, 2)
-    until(page, f"viewer.drawn > {drawn + 2}")
-    off = vertices_of(page)[: len(frame.vertices)] - frame.vertices
-    assert np.abs(off).max() < TOLERANCE
-    page.evaluate("document.getElementById('immersive').click()")
-    until(page, "!viewer.renderer.xr.isPresenting && viewer.scene.background !== null")
-    until(page, "document.getElementById('immersive').textContent === 'Augmented Reality'")
-    assert page.evaluate("viewer.room.group.position.toArray()") == [0, 0, 0]
-    context.close()
-
-
-@pytest.mark.thorough
 def test_the_keyboard_orbits_zooms_and_resets_the_view(open_page, watched):
     shown = watched()
     shown.show(face())
