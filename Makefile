@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -90,6 +90,10 @@ blenders: setup
 # Blender with a window on a virtual screen, from Debian's packages.
 windows:
 	sh tools/windows.sh
+
+# The Python library, as a wheel in dist/.
+wheel: setup viewer
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
 
 # The viewer's page, with the third-party parts that it needs.
 viewer: $(VIEWER)

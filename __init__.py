@@ -1,4 +1,112 @@
-"""Facemime: live face puppetry for Blender."""
+"""Facemime: live face puppetry for Blender.
+
+Blender registers this package as an extension. In Python, it is a library, which does not need Blender:
+
+>>> from facemime import HeadDriver, built_in_head, calibrate, track_video
+>>> take = track_video("clip.mp4")
+>>> driver = HeadDriver(built_in_head(), calibrate(take))
+>>> driver.frame(take.result(0)).vertices.shape
+(1781, 3)
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .core.bake.arkit import arkit_coefficients
+    from .core.bake.basis import fit_basis
+    from .core.bake.fit import fit_keys
+    from .core.bake.key_map import KeyMap, KeyRow
+    from .core.binding.head import bind_head
+    from .core.coefficient_names import COEFFICIENTS
+    from .core.control_points.select import select_control_points
+    from .core.deform.head_deformer import head_deformer
+    from .core.deform.rbf import RBFDeformer
+    from .core.drive.driver import HeadDriver, HeadFrame
+    from .core.drive.settings import DriveSettings
+    from .core.errors import FacemimeError
+    from .core.heads.regions import REGIONS
+    from .core.heads.rig import HeadRig, built_in_head
+    from .core.takes.file import load_take, save_take
+    from .core.takes.from_video import track_video
+    from .core.takes.neutral import Neutral, calibrate
+    from .core.takes.smooth import smooth_take
+    from .core.takes.take import Take
+    from .core.tracking.result import TrackResult
+    from .core.tracking.tracker import FaceTracker
+
+_PLACES = {
+    "COEFFICIENTS": "coefficient_names",
+    "DriveSettings": "drive.settings",
+    "FaceTracker": "tracking.tracker",
+    "FacemimeError": "errors",
+    "HeadDriver": "drive.driver",
+    "HeadFrame": "drive.driver",
+    "HeadRig": "heads.rig",
+    "KeyMap": "bake.key_map",
+    "KeyRow": "bake.key_map",
+    "Neutral": "takes.neutral",
+    "RBFDeformer": "deform.rbf",
+    "REGIONS": "heads.regions",
+    "Take": "takes.take",
+    "TrackResult": "tracking.result",
+    "arkit_coefficients": "bake.arkit",
+    "bind_head": "binding.head",
+    "built_in_head": "heads.rig",
+    "calibrate": "takes.neutral",
+    "fit_basis": "bake.basis",
+    "fit_keys": "bake.fit",
+    "head_deformer": "deform.head_deformer",
+    "load_take": "takes.file",
+    "save_take": "takes.file",
+    "select_control_points": "control_points.select",
+    "smooth_take": "takes.smooth",
+    "track_video": "takes.from_video",
+}
+"""Modules of `core` from which names are loaded when they are first used, as enabling the extension must not wait."""
+
+__all__ = [  # noqa: RUF022, which sorts by another alphabet
+    "COEFFICIENTS",
+    "DriveSettings",
+    "FaceTracker",
+    "FacemimeError",
+    "HeadDriver",
+    "HeadFrame",
+    "HeadRig",
+    "KeyMap",
+    "KeyRow",
+    "Neutral",
+    "RBFDeformer",
+    "REGIONS",
+    "Take",
+    "TrackResult",
+    "arkit_coefficients",
+    "bind_head",
+    "built_in_head",
+    "calibrate",
+    "fit_basis",
+    "fit_keys",
+    "head_deformer",
+    "load_take",
+    "save_take",
+    "select_control_points",
+    "smooth_take",
+    "track_video",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f".core.{_PLACES[name]}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
 
 
 def register() -> None:

@@ -143,7 +143,7 @@ def main() -> int:
     command.add_argument("--menpo3d", type=Path, metavar="FILE.tar.gz", help="source archive of menpo3d 0.8.6")
     arguments = command.parse_args()
     facemime.register()
-    take = track_video(SAMPLE, FaceTracker.load()).finish()
+    take = track_video(SAMPLE, FaceTracker.load())
     bound, moved, made, pairs, tiles = {}, {}, {}, {}, []
     for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
         rig = read_rig(head.obj)

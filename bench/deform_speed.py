@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from bench.report import Table
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 
 COLUMNS = (
     "mesh",
@@ -38,7 +38,7 @@ def speed_table() -> Table:
     may be the limit, and with the product by one dense matrix of all vertices and points.
     """
     rows = [_row("random", lambda size=size: _random(*size)) for size in _SIZES]
-    rig, done = built_in_rig(), 0
+    rig, done = built_in_head(), 0
     for halvings in _HALVINGS:
         while done < halvings:
             rig, done = finer(rig), done + 1

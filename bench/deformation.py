@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from bench.deform_speed import speed_table
 from bench.deformers import Method, all_methods, greedy_points
-from bench.heads import AREAS, TrueHead, built_in_head, ict_head
+from bench.heads import AREAS, TrueHead, ict_head, true_built_in_head
 from bench.left_out import left_out_errors
 from bench.report import Table, finish, parser
 from facemime.core.control_points.greedy import GreedySelection
@@ -34,7 +34,7 @@ def main() -> int:
     add_data_option(command)
     command.add_argument("--pictures", type=Path, metavar="DIR", help="folder for images of the comparison")
     arguments = command.parse_args()
-    heads = [built_in_head()]
+    heads = [true_built_in_head()]
     models = [load_expressions()]
     if has_heads(arguments.data):
         heads.insert(0, ict_head(arguments.data))

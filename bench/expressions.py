@@ -24,7 +24,7 @@ import numpy as np
 from bench.report import Table, finish, parser
 from facemime.core.capture import VideoSource
 from facemime.core.drive.motion import drive_take
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import IBUG68_INDICES, from_ibug, outer_eye_distance
 from facemime.core.puppet.performance import Performance
 from facemime.core.puppet.settings import PuppetSettings
@@ -89,7 +89,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     command.add_argument("--wrong", action="store_true", help="list the frames on the wrong side of rest")
     arguments = command.parse_args(argv)
     clips = read_clips(arguments.labels, arguments.neutral, arguments.clips)
-    tracker, rig, mesh = FaceTracker.load(), built_in_rig(), _mediapipe()
+    tracker, rig, mesh = FaceTracker.load(), built_in_head(), _mediapipe()
     arguments.takes.mkdir(parents=True, exist_ok=True)
     scores: dict[str, dict[str, Score]] = {"avatar": {}, "MediaPipe": {}}
     rows: list[tuple[object, ...]] = []
@@ -227,7 +227,7 @@ def _take_of(path: Path, tracker: FaceTracker, folder: Path) -> Take:
     kept = folder / f"{path.stem}-{tracker.model_id}.facetake"
     if not kept.exists():
         tracker.reset()
-        save_take(track_video(path, tracker).finish(), kept)
+        save_take(track_video(path, tracker), kept)
     return load_take(kept)
 
 

@@ -201,7 +201,7 @@ def landmark_errors(head: LabelledHead, found: NDArray[np.intp]) -> list[float]:
     ]
 
 
-def built_in_head() -> TrueHead:
+def true_built_in_head() -> TrueHead:
     """The built-in head as it ships, and those of its 52 units that move its skin."""
     head = load_head()
     chosen = [i for i, unit in enumerate(head.units) if np.abs(unit).max() > 1e-5]

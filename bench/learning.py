@@ -19,7 +19,7 @@ from bench.exact import FPS, ExactFaces, performed
 from bench.report import Table, finish, people_parser
 from facemime.core.apertures import lid_gaps
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import INNER
 from facemime.core.live.calibration import NeutralCalibration
 from facemime.core.live.learning import PerformerLearner
@@ -81,7 +81,7 @@ def main() -> None:
         found = NeutralCalibration(asked=False)
         while not found.add(len(found) / FPS, results[len(found)]):
             pass
-        driver = HeadDriver(built_in_rig(), found.neutral())
+        driver = HeadDriver(built_in_head(), found.neutral())
         runs += [measure(results, start, driver) for start in _STARTS]
     rows: list[list[object]] = []
     for name in _WHEN:

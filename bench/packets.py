@@ -12,7 +12,7 @@ import numpy as np
 from facemime.core.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.appearance import Appearance, built_in_appearance
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.streams import live_link, openseeface, osc, vmc
 from facemime.core.streams.datagram import encode_face
 from facemime.core.streams.face_cap import FaceCapDecoder
@@ -139,7 +139,7 @@ def _headset() -> list[bytes]:
 
 @cache
 def _head() -> tuple[HeadDriver, Appearance]:
-    return HeadDriver(built_in_rig(lashes=True), coefficient_face().neutral), built_in_appearance()
+    return HeadDriver(built_in_head(lashes=True), coefficient_face().neutral), built_in_appearance()
 
 
 class _Vertices(VertexDecoder):

@@ -30,20 +30,20 @@ from bench.deformers import (
     whole,
 )
 from bench.expressions import features, slope
-from bench.heads import AREAS, TrueHead, built_in_head
+from bench.heads import AREAS, TrueHead, true_built_in_head
 from bench.namespaces import may_join
 from bench.paper_claims import claims
 from bench.pipeline import measure
 from bench.remote import LINK, signed, stream
 from bench.report import Table, finish, parser
 from facemime.core.control_points.greedy import START, GreedySelection
-from facemime.core.control_points.select import select_for_take
+from facemime.core.control_points.select import select_control_points
 from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.regions import REGIONS, UPPER, membership, sharp_regions
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.landmarks import from_ibug
 from facemime.core.puppet.presets import built_in_path, read_preset
 from facemime.core.settings import settings_of
@@ -88,8 +88,8 @@ def main() -> int:
     command.add_argument("--pictures", type=Path, metavar="DIR", help="folder for pictures")
     arguments = command.parse_args()
     cv2.setNumThreads(1)
-    head, rig = built_in_head(), built_in_rig()
-    take = track_video(SAMPLE, FaceTracker.load()).finish()
+    head, rig = true_built_in_head(), built_in_head()
+    take = track_video(SAMPLE, FaceTracker.load())
     clip = Clip(take, calibrate(take))
     scores = {
         name: judge(head, Method(name, 66, predict, 0.0, 0.0), head.mixtures)
@@ -244,7 +244,7 @@ def greedy_table(rig: HeadRig, clip: Clip) -> Table:
     for percent in TOLERANCES:
         row: list[object] = [f"{percent:g} %"]
         for search, kernel in (("paper", "gaussian"), ("paper", "multiscale"), ("take", "gaussian"), ("take", None)):
-            chosen = select_for_take(
+            chosen = select_control_points(
                 rig, clip.take, neutral=clip.neutral, tolerance=percent / 100.0, search=search, kernel=kernel
             )
             row.append(len(chosen.landmarks))

@@ -19,7 +19,7 @@ from facemime.blender.timeline import frames_of
 from facemime.cli.puppet.headless import open_stage
 from facemime.core.capture import VideoSource
 from facemime.core.control_points.greedy import START
-from facemime.core.control_points.select import select_for_take
+from facemime.core.control_points.select import select_control_points
 from facemime.core.control_points.table import REGION_COLOURS
 from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.motion import select_distinct_frames
@@ -87,7 +87,7 @@ def _points(head: TrueHead, rig: HeadRig, take: Take) -> Image:
         row[from_ibug(tuple(muscles))] = True
     chosen = {"all landmarks": membership(), "muscle points": start}
     for title, search in (("equation 6", "paper"), ("our search", "take")):
-        chosen[f"{title}, within 1.5 %"] = select_for_take(rig, take, tolerance=0.015, search=search).membership
+        chosen[f"{title}, within 1.5 %"] = select_control_points(rig, take, tolerance=0.015, search=search).membership
     tiles = []
     for title, members in chosen.items():
         used = int(members.any(axis=0).sum())

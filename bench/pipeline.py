@@ -79,7 +79,7 @@ def measure(
     """
     options = options or DriveSettings()
     tracker = FaceTracker.load()
-    take = track_video(video, tracker).finish()
+    take = track_video(video, tracker)
     neutral = calibrate(take)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     head = add_head(bpy.context)

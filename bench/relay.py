@@ -28,7 +28,7 @@ import numpy as np
 from bench.report import Table, finish, parser
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.appearance import built_in_appearance
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.viewer.nats import PING, NatsReader, connecting, subscribing
 from facemime.core.viewer.relay import RelaySender
@@ -194,7 +194,7 @@ def watch(viewers: list[Viewer], sender: subprocess.Popen | None, last: int = -1
 def send(kind: str, place: str, seconds: float) -> int:
     """Send frames after a line on the standard input, and print what this took."""
     folder, _, url = place.partition("|")
-    driver, looks = HeadDriver(built_in_rig(lashes=True), coefficient_face().neutral), built_in_appearance()
+    driver, looks = HeadDriver(built_in_head(lashes=True), coefficient_face().neutral), built_in_appearance()
     rng = np.random.default_rng(1)
     results = [coefficient_face().result(rng.uniform(0.0, 0.8, 52), np.zeros(3), None) for _ in range(30)]
     frames = [driver.frame(result) for result in results]

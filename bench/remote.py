@@ -27,7 +27,7 @@ from bench.report import Table, finish, parser
 from bench.viewer import Viewed, view
 from facemime.core.capture import VideoSource
 from facemime.core.drive.settings import DriveSettings
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.worker import LiveOptions, LiveWorker
 from facemime.core.streams import datagram
@@ -183,7 +183,7 @@ def draw(path: Path, delays: list[float]) -> None:
 def tracked() -> Take:
     """The sample clip, tracked, without the frames in which there is no face."""
     with VideoSource(SAMPLE):
-        take = track_video(SAMPLE, FaceTracker.load()).finish()
+        take = track_video(SAMPLE, FaceTracker.load())
     return take.part(take.found)
 
 
@@ -231,7 +231,7 @@ def stream(
     """
     with Wire(replace(LINK, loss=loss)) as wire, TemporaryDirectory() as folder:
         sender, settings = opened(wire, Path(folder))
-        head = LiveHead(built_in_rig(), DriveSettings())
+        head = LiveHead(built_in_head(), DriveSettings())
         with wire.inside(1):
             source = StreamSource(settings)
             source.read(0.0)

@@ -47,7 +47,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "images", metavar="DIR")
     folder = parser.parse_args().output
-    take = track_video(CLIP, FaceTracker.load()).finish()
+    take = track_video(CLIP, FaceTracker.load())
     retake = shift_time(trim(take, START - EARLIER, END - EARLIER), EARLIER)
     punched = punch_in(take, retake, START, END, blend=0.3)
     mended = smooth_zero_phase(punched)

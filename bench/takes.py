@@ -30,7 +30,7 @@ FPS, MINUTE = 30.0, 1800
 def main() -> int:
     """Run the benchmark; returns the exit status, 1 if a truncated file was not read correctly."""
     arguments = parser(__doc__ or "").parse_args()
-    clip = track_video(ROOT / "assets" / "sample" / "sample.mp4", FaceTracker.load()).finish()
+    clip = track_video(ROOT / "assets" / "sample" / "sample.mp4", FaceTracker.load())
     take = a_minute(clip)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "take.facetake"

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from bench.deform_speed import finer
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.appearance import Appearance, Material, Patch, built_in_appearance
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
 from facemime.core.viewer.server import ViewerServer
@@ -70,10 +70,10 @@ def view(take: Take, seconds: float) -> list[Viewed]:
         return []
     from playwright.sync_api import sync_playwright
 
-    rig = built_in_rig()
+    rig = built_in_head()
     dense = finer(finer(finer(rig)))
     heads = (
-        (built_in_rig(lashes=True), built_in_appearance()),
+        (built_in_head(lashes=True), built_in_appearance()),
         (dense, Appearance("Dense", (Patch(Material(), dense.faces),))),
     )
     with sync_playwright() as playwright:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..core.heads.eyeballs import fit_eyeball
 from ..core.heads.parts import same_parts
 from ..core.heads.regions import membership
-from ..core.heads.rig import HeadRig
+from ..core.heads.rig import HeadRig, jaw_pivot_of
 from ..core.landmarks import OUTER_EYE_CORNERS
 from .characters import part_eyeballs, read_parts
 from .frames import from_blender
@@ -29,7 +29,6 @@ from .meshes import (
 )
 from .names import PART_PROPERTY
 
-_JAW_SIDES = (2, 14)
 _VERTICES_PER_CHECK = 2048
 
 
@@ -124,11 +123,11 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDA
 
 
 def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the pivot of the jaw, (3,): the origin of the lower teeth, or the middle between the sides of the jaw."""
+    """Return the pivot of the jaw, (3,): the origin of the lower teeth, or, without them, that of `jaw_pivot_of`."""
     for child in obj.children:
         if child.get(PART_PROPERTY) == "teeth_lower":
             return from_blender(np.array((child.matrix_parent_inverse @ child.matrix_basis).translation))
-    return landmarks[list(_JAW_SIDES)].astype(np.float64).mean(axis=0)
+    return jaw_pivot_of(landmarks)
 
 
 def _read_quick_parts(obj: bpy.types.Object) -> dict[str, NDArray | None]:

@@ -11,7 +11,7 @@ from time import monotonic
 
 from ..core.bake.key_map import ESSENTIAL
 from ..core.heads.appearance import Appearance, built_in_appearance
-from ..core.heads.rig import built_in_rig
+from ..core.heads.rig import built_in_head
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.head_drivers import LiveHead
 from ..core.live.sources import LiveSource, TakePlayer, VideoPlayer
@@ -127,7 +127,7 @@ def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
         If Blender is missing, or the file has no head and no face.
     """
     if head is None:
-        return LiveHead(built_in_rig(lashes=True)), built_in_appearance()
+        return LiveHead(built_in_head(lashes=True)), built_in_appearance()
     with importing_blender("--head"):
         from ..blender.animation.appearance import read_appearance
         from ..blender.animation.live_keys import AUTOMATIC, live_keys

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import parse_landmarks, select_for_take, to_json
+from ..core.control_points.select import parse_landmarks, select_control_points, to_json
 from ..core.control_points.settings import SelectionSettings
 from ..core.drive.settings import DriveSettings
 from ..core.files import replacing
 from ..core.heads.regions import REGIONS
-from ..core.heads.rig import HeadRig, built_in_rig
+from ..core.heads.rig import HeadRig, built_in_head
 from ..core.landmarks import IBUG68_INDICES
 from ..core.puppet.job import HeadFile
 from ..core.settings import settings_of
@@ -86,8 +86,8 @@ def run_select(job: SelectJob) -> int:
     inputs = {"the take that is read": job.take, "the file of the head": None if job.head is None else job.head.path}
     with outputs_of(((job.output, {".json"}),), inputs):
         take = load_with_warnings(job.take)
-        selection = select_for_take(
-            built_in_rig() if job.head is None else _rig_of(job.head),
+        selection = select_control_points(
+            built_in_head() if job.head is None else _rig_of(job.head),
             take,
             neutral=calibrate(take, job.neutral),
             tolerance=job.settings.tolerance,

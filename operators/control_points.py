@@ -9,7 +9,7 @@ from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landm
 from ..blender.meshes import is_head, read_selection, write_selection
 from ..blender.rigs import read_rig
 from ..blender.viewports import redraw, viewport_under
-from ..core.control_points.select import parse_landmarks, select_for_take
+from ..core.control_points.select import parse_landmarks, select_control_points
 from ..core.control_points.settings import SelectionSettings
 from ..core.control_points.table import add_by_hand, drop_by_hand
 from ..core.errors import HeadError
@@ -37,7 +37,7 @@ class SelectsPoints(OnMesh):
         obj = subject(context)
         take, neutral = self.performance(context)
         chosen = read(SelectionSettings, self)
-        selection = select_for_take(
+        selection = select_control_points(
             read_rig(obj),
             take,
             neutral=neutral,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..core.errors import FacemimeError
 from ..core.takes.from_video import track_video
-from ..core.takes.take import Take, TakeRecorder
+from ..core.takes.take import Take
 from ..core.tracking.result import TrackResult
 from ..core.tracking.settings import DEFAULTS, TrackingSettings
 from ..core.tracking.tracker import FaceTracker
@@ -40,7 +40,7 @@ class TrackingSession(Session):
         self.video, self._face, self._settings = Path(video), face, settings
         self.done, self.total = 0, 0
         self._stopping = threading.Event()
-        self._recorder: TakeRecorder | None = None
+        self._take: Take | None = None
         self._error: Exception | None = None
         self._thread = threading.Thread(target=self._work, name="facemime-tracking", daemon=True)
         self._thread.start()
@@ -65,9 +65,9 @@ class TrackingSession(Session):
         self._thread.join()
         if self._error is not None:
             raise self._error
-        if self._recorder is None:
+        if self._take is None:
             raise FacemimeError("Tracking was stopped before the first frame. Start it again.")
-        return self._recorder.finish()
+        return self._take
 
     def _stop(self) -> None:
         """Stop the thread and wait a limited time for it; a thread that hangs is abandoned."""
@@ -77,7 +77,7 @@ class TrackingSession(Session):
     def _work(self) -> None:
         try:
             tracker = FaceTracker.load(settings=self._settings)
-            self._recorder = track_video(self.video, tracker, self._on_frame, face=self._face)
+            self._take = track_video(self.video, tracker, self._on_frame, face=self._face)
         except Exception as error:  # raised again by `take`
             self._error = error
 

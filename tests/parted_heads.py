@@ -6,7 +6,7 @@ import numpy as np
 
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.parts import FaceParts, Part
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 
 KINDS = {
     "eye_left": Part.EYE_LEFT,
@@ -20,7 +20,7 @@ KINDS = {
 
 def with_parts() -> HeadRig:
     """The built-in head with eyes, teeth and tongue as separate meshes."""
-    head, rig = load_head(), built_in_rig()
+    head, rig = load_head(), built_in_head()
     start, faces, numbers = len(rig.vertices), [], [np.zeros(len(rig.vertices), dtype=np.int8)]
     parts = [part for part in head.parts if part.name in KINDS]
     for part in parts:

@@ -96,8 +96,6 @@ def track(
 
     with STOPPING.noting():
         track_video(video, tracker, on_frame, unfinished, face)
-    if not unfinished.exists():
-        raise KeyboardInterrupt("no frame was tracked yet")
     take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
     tell_what_is_missing(video, take)

@@ -62,6 +62,15 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     ------
     SourceError
         If no frame has a face.
+
+    Examples
+    --------
+    >>> from facemime import COEFFICIENTS, arkit_coefficients, calibrate, load_take
+    >>> take = load_take("performance.facetake")
+    >>> values = arkit_coefficients(take, calibrate(take))
+    >>> jaw = values[:, COEFFICIENTS.index("jawOpen")]
+    >>> values.shape, jaw.shape  # of frames with a face
+    ((59, 52), (59,))
     """
     posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
     observer = Observer(neutral, replace(options, posing=posing))

@@ -60,6 +60,14 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     The singular vectors of short motions are exact. Those of long ones are found within the span of a few mixtures of
     the frames, refined by two power iterations (Halko, Martinsson & Tropp 2011, algorithm 4.4), as the exact ones would
     cost O(N^2 V): here it is O(N V K).
+
+    Examples
+    --------
+    >>> from facemime import fit_basis
+    >>> motion = np.random.default_rng(0).standard_normal((20, 100, 3))
+    >>> basis = fit_basis(motion, tolerance=1e-3)
+    >>> basis.weights.shape, bool(basis.worst_error < 1e-3)
+    ((20, 20), True)
     """
     frames, vertices = motion.shape[:2]
     flat = np.ascontiguousarray(motion, dtype=np.float32).reshape(frames, -1)

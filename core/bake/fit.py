@@ -63,6 +63,14 @@ def fit_keys(
     Notes
     -----
     Equation 9.1. Where both keys of a pair are found, the weaker one is left out and the others are fitted again.
+
+    Examples
+    --------
+    >>> from facemime import fit_keys
+    >>> keys = np.random.default_rng(0).standard_normal((4, 100, 3))
+    >>> fit = fit_keys(0.5 * keys[:2], keys, np.zeros(4), np.ones(4))
+    >>> fit.weights.round(2).tolist()
+    [[0.5, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, 0.0]]
     """
     flat = np.ascontiguousarray(keys, dtype=np.float64).reshape(len(keys), -1)
     # Normal equations of equation 9.1, in which the motion enters only by its products with the keys.

@@ -48,6 +48,12 @@ class KeyRow:
 
     A row with a higher `rank` is used only for meshes that have no key of a lower rank of the same source: meshes have
     one key for both eyelids, or two, or all three.
+
+    Examples
+    --------
+    >>> from facemime import KeyRow
+    >>> KeyRow("jawOpen", "Mouth Closed", gain=-1.0, offset=1.0).key
+    'Mouth Closed'
     """
 
     source: str
@@ -97,7 +103,17 @@ class KeyPose:
 
 @dataclass(frozen=True)
 class KeyMap:
-    """A key mapping: a named table of rows."""
+    """A key mapping: a named table of rows.
+
+    Examples
+    --------
+    >>> from facemime import COEFFICIENTS, KeyMap, KeyRow
+    >>> table = KeyMap("Mine", (KeyRow("jawOpen", "Jaw Open"),))
+    >>> values = np.zeros((10, len(COEFFICIENTS)))
+    >>> values[:, COEFFICIENTS.index("jawOpen")] = 0.5
+    >>> float(table.apply(values, {"Jaw Open": (0.0, 1.0)})["Jaw Open"][0])
+    0.5
+    """
 
     name: str
     rows: tuple[KeyRow, ...]

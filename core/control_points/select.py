@@ -37,7 +37,7 @@ _ROUNDING = 1e-3
 """Share of the largest eigenvalue by which a zero one may be negative after rounding to five digits."""
 
 
-def select_for_take(
+def select_control_points(
     rig: HeadRig,
     take: Take,
     *,
@@ -79,6 +79,13 @@ def select_for_take(
     ------
     SourceError
         If the take has no face.
+
+    Examples
+    --------
+    >>> from facemime import built_in_head, load_take, select_control_points
+    >>> selection = select_control_points(built_in_head(), load_take("performance.facetake"), tolerance=0.02)
+    >>> selection.membership.shape
+    (3, 66)
     """
     neutral = calibrate(take) if neutral is None else neutral
     landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]

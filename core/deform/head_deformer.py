@@ -44,6 +44,16 @@ def head_deformer(
     RBFDeformer or IncrementalDeformer
         Moves the vertices by the displacements of the 66 landmarks. Without faces, or if incremental, the informed
         kernel is reduced to its distance part.
+
+    Examples
+    --------
+    >>> from facemime import built_in_head, head_deformer
+    >>> deformer = head_deformer(built_in_head())
+    >>> displacements = np.zeros((66, 3))
+    >>> displacements[8, 1] = 0.01  # the chin, down by 1 cm
+    >>> lowered = deformer.deform(displacements)[:, 1] - deformer.rest[:, 1]
+    >>> round(float(lowered.max()), 3)
+    0.01
     """
     places = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
     plain = DEFAULT_KERNEL if kernel == INFORMED else kernel

@@ -110,6 +110,19 @@ class RBFDeformer:
     Equations 5.1 and 5.2 (Yao et al. 2019, equations 1 to 3). Preparation costs O(R P^3 + V P). A frame costs V P
     multiply-adds per coordinate, where P counts the control points of a vertex's regions. An instance contains the
     buffers of a frame, so each thread needs its own.
+
+    Examples
+    --------
+    The paper's interpolation, whose control points belong to the upper, the middle or the lower region:
+
+    >>> from facemime import REGIONS, RBFDeformer, built_in_head
+    >>> head = built_in_head()
+    >>> points = head.vertices[head.landmarks]
+    >>> members = [np.isin(np.arange(66), region.landmarks) for region in REGIONS]
+    >>> deformer = RBFDeformer(head.vertices, points, head.region_weights, members, regularisation=0.0)
+    >>> moved = deformer.deform(0.001 * np.random.default_rng(0).standard_normal((66, 3)))
+    >>> moved.shape
+    (1781, 3)
     """
 
     def __init__(

@@ -53,6 +53,15 @@ class HeadFrame:
         Displacements of the landmarks, which move the skin: head frame, unit of the mesh.
     keys : (K,) float64
         Values of shape keys that move the vertices instead, in the order of `LiveKeys.offsets`; empty without keys.
+
+    Examples
+    --------
+    >>> from facemime import HeadDriver, HeadFrame, built_in_head, calibrate, load_take
+    >>> take = load_take("performance.facetake")
+    >>> frame: HeadFrame = HeadDriver(built_in_head(), calibrate(take)).frame(take.result(0))
+    >>> posed = frame.vertices @ frame.rotation.T + frame.translation  # in world axes, about the neck
+    >>> posed.shape
+    (1781, 3)
     """
 
     vertices: NDArray[np.float32]
@@ -83,6 +92,15 @@ class HeadDriver:
         Settings.
     reuse : HeadDriver, optional
         An earlier driver, whose eyes are continued, and whose deformer is reused if rig and kernel are the same.
+
+    Examples
+    --------
+    >>> from facemime import HeadDriver, built_in_head, calibrate, load_take
+    >>> take = load_take("performance.facetake")
+    >>> driver = HeadDriver(built_in_head(), calibrate(take))
+    >>> frames = [driver.frame(take.result(i)) for i in np.flatnonzero(take.found)]
+    >>> np.stack([frame.vertices for frame in frames]).shape  # the face was lost in one frame
+    (59, 1781, 3)
     """
 
     def __init__(

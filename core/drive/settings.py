@@ -75,6 +75,14 @@ class DriveSettings:
         it would change depths.
     posing : PosingSettings
         Strength and limits of the pose of the head and the eyes.
+
+    Examples
+    --------
+    >>> from facemime import DriveSettings, HeadDriver, built_in_head, calibrate, load_take
+    >>> neutral = calibrate(load_take("performance.facetake"))
+    >>> paper = DriveSettings(kernel="gaussian", borders="sharp", mode="planar")
+    >>> HeadDriver(built_in_head(), neutral, paper).options.kernel
+    'gaussian'
     """
 
     mode: Mode = setting(

@@ -160,7 +160,7 @@ class Appearance:
 def built_in_appearance(name: str = "Facemime Head") -> Appearance:
     """Return the appearance of the built-in head and its parts; ModelError if an image is missing.
 
-    The lashes are patches of `built_in_rig(lashes=True)`.
+    The lashes are patches of `built_in_head(lashes=True)`.
     """
     head = load_head()
     surfaces: dict[str, Material] = {}

@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 
 from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import N_LANDMARKS, outer_eye_distance
+from ..landmarks import JAW, N_LANDMARKS, outer_eye_distance
 from ..rotation import fit_rotation
 from .built_in import Head, load_head
 from .parts import FaceParts, Part, Skin, skin_of
+
+_JAW_SIDES = JAW[[2, 14]]
+"""Landmarks in front of the ears, between which the jaw turns."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +42,13 @@ class HeadRig:
         Vertices of each face, padded with -1, for the informed kernel, which otherwise uses only distance in space.
     parts : FaceParts, optional
         Eyes, teeth, lashes and other parts, of this mesh and of others; without it all vertices are skin.
+
+    Examples
+    --------
+    >>> from facemime import HeadRig, built_in_head
+    >>> head: HeadRig = built_in_head()
+    >>> head.vertices.shape, head.landmarks.shape, head.region_weights.shape
+    ((1781, 3), (66,), (3, 1781))
     """
 
     vertices: FloatArray
@@ -123,12 +133,24 @@ def neck_of(points: FloatArray) -> FloatArray:
     return np.asarray(target.mean(axis=0) - size * turn @ source.mean(axis=0))
 
 
+def jaw_pivot_of(points: FloatArray) -> FloatArray:
+    """Return the middle between the sides of the jaw, (3,), from landmarks, (66, 3): a point on its hinge."""
+    return np.asarray(points[_JAW_SIDES], dtype=np.float64).mean(axis=0)
+
+
 def _widened(faces: IntArray, width: int) -> IntArray:
     return np.pad(faces, ((0, 0), (0, width - faces.shape[1])), constant_values=-1)
 
 
-def built_in_rig(*, lashes: bool = False) -> HeadRig:
-    """Return the rig of the built-in head; with lashes and brows, it equals that of its copy in Blender."""
+def built_in_head(*, lashes: bool = False) -> HeadRig:
+    """Return the rig of the built-in head; with lashes and brows, it equals that of its copy in Blender.
+
+    Examples
+    --------
+    >>> from facemime import built_in_head
+    >>> built_in_head().vertices.shape
+    (1781, 3)
+    """
     head = load_head()
     eyes = [part for part in head.parts if part.name.startswith("eye")]
     eyeballs = [[*eye.pivot, float(np.linalg.norm(eye.vertices - eye.pivot, axis=1).max())] for eye in eyes]

@@ -166,6 +166,12 @@ def save_take(take: Take, path: Path) -> None:
     ------
     OutputError
         If `path` cannot be written.
+
+    Examples
+    --------
+    >>> from facemime import load_take, save_take
+    >>> take = load_take("performance.facetake")
+    >>> save_take(take.part(take.found), "found.facetake")
     """
     with replacing(Path(path)) as temporary:
         temporary.unlink()
@@ -189,6 +195,12 @@ def load_take(path: Path) -> Take:
     ------
     SourceError
         If the file is missing, not a take, of a newer format, or has no intact frame.
+
+    Examples
+    --------
+    >>> from facemime import load_take
+    >>> load_take("performance.facetake").shape.shape
+    (60, 66, 3)
     """
     path = Path(path)
     if not check_readable(path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import ExitStack
+from os import PathLike
 from pathlib import Path
 
 from ..capture import VideoSource
@@ -11,7 +12,7 @@ from ..media_starts import last_image
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter
-from .take import TakeRecorder, describe
+from .take import Take, TakeRecorder, describe
 
 OnFrame = Callable[[int, int, TrackResult], bool | None]
 _COMPLETE = 0.9
@@ -19,20 +20,20 @@ _COMPLETE = 0.9
 
 
 def track_video(
-    path: Path,
-    tracker: FaceTracker,
+    path: str | PathLike[str],
+    tracker: FaceTracker | None = None,
     on_frame: OnFrame | None = None,
     output: Path | None = None,
     face: tuple[float, float] | None = None,
-) -> TakeRecorder:
+) -> Take:
     """Track every frame of a video.
 
     Parameters
     ----------
-    path : Path
+    path : path-like
         The video.
-    tracker : FaceTracker
-        The tracker, which is reset at the start.
+    tracker : FaceTracker, optional
+        The tracker, which is reset at the start; by default a new one with the shipped model.
     on_frame : callable, optional
         Called after each frame with the number of frames done, the number stated by the file, and the result. Returning
         False stops.
@@ -43,20 +44,27 @@ def track_video(
 
     Returns
     -------
-    TakeRecorder
-        Its `finish` returns the take. A KeyboardInterrupt ends tracking early; what was tracked is kept, and
-        ``info["interrupted"]`` is set. If the video ends before its header says, ``info["recovered"]`` says so in a
-        sentence.
+    Take
+        The take. A KeyboardInterrupt ends tracking early; what was tracked is kept, and ``info["interrupted"]`` is set.
+        If the video ends before its header says, ``info["recovered"]`` says so in a sentence.
 
     Raises
     ------
     SourceError
-        If the video cannot be read.
+        If the video cannot be read, or not even one frame was tracked.
     OutputError
         If `output` cannot be written.
+
+    Examples
+    --------
+    >>> from facemime import track_video
+    >>> take = track_video("clip.mp4")
+    >>> take.landmarks.shape, bool(take.found.all())
+    ((255, 66, 2), True)
     """
+    tracker = FaceTracker.load() if tracker is None else tracker
     with ExitStack() as stack:
-        source = stack.enter_context(VideoSource(path))
+        source = stack.enter_context(VideoSource(Path(path)))
         recorder = TakeRecorder({})
         writer = None if output is None else stack.enter_context(TakeWriter(output, {}))
         tracker.reset()
@@ -81,8 +89,10 @@ def track_video(
                     missing = f"{lost:.2f} s after {frame.time:.2f} s"
                     recorder.info["recovered"] = f"The video was cut or damaged. Missing: {missing}."
         except KeyboardInterrupt:
+            if len(recorder) == 0:
+                raise
             recorder.info["interrupted"] = True
-        return recorder
+        return recorder.finish()
 
 
 def _lost_after(source: VideoSource, count: int, last: float) -> float:

@@ -91,6 +91,13 @@ class Neutral:
     asked : bool
         Whether the performer was asked to rest, or the user chose the moment. If not, it was found automatically, and a
         live performance continues to look for a better one.
+
+    Examples
+    --------
+    >>> from facemime import Neutral, calibrate, load_take
+    >>> neutral: Neutral = calibrate(load_take("performance.facetake"))
+    >>> neutral.shape.shape
+    (66, 3)
     """
 
     shape: FloatArray
@@ -226,6 +233,13 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
     ------
     SourceError
         If there is no face in that time, or in the whole take.
+
+    Examples
+    --------
+    >>> from facemime import calibrate, load_take
+    >>> take = load_take("performance.facetake")
+    >>> neutral = calibrate(take)  # the calmest moment
+    >>> neutral = calibrate(take, start=0.5)  # the performer was asked to relax from here on
     """
     if not take.found.any():
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")

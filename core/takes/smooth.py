@@ -54,6 +54,15 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
     -------
     Take
         The smoothed take.
+
+    Examples
+    --------
+    >>> from facemime import load_take, smooth_take
+    >>> take = load_take("performance.facetake")
+    >>> calm = smooth_take(take, 0.5)
+    >>> steps = [np.nanmean(abs(np.diff(one.shape, axis=0))) for one in (take, calm)]
+    >>> bool(steps[1] < steps[0])
+    True
     """
     if amount <= 0.0 or take.info.get("smoothed") or take.info.get("measured"):
         return take

@@ -59,6 +59,15 @@ class Take:
         Description, initially by `describe`. Later steps add `interrupted` (stopped before the end of the source),
         `recovered` (what is missing from a damaged file), `calibration` (a chosen neutral face), `bridged` (spans in
         seconds that were filled in) and `smoothed`.
+
+    Examples
+    --------
+    >>> from facemime import Take, load_take
+    >>> take: Take = load_take("performance.facetake")
+    >>> len(take), take.landmarks.shape, take.result(0).found
+    (60, (60, 66, 2), True)
+    >>> len(take.part(take.times < 1.0))
+    25
     """
 
     times: FloatArray

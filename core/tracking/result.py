@@ -79,6 +79,13 @@ class TrackResult:
     coefficients : (52,) float64
         ARKit's coefficients, 0 to 1, in the order of `COEFFICIENTS`, if the source states them, as a phone does; NaN if
         they have to be found from the landmarks.
+
+    Examples
+    --------
+    >>> from facemime import TrackResult, load_take
+    >>> result: TrackResult = load_take("performance.facetake").result(0)
+    >>> result.found, result.shape.shape
+    (True, (66, 3))
     """
 
     found: bool

@@ -49,6 +49,15 @@ class FaceTracker:
         completely, and all actions are measured in every frame.
     settings : TrackingSettings, optional
         How faces are found; may be replaced between frames.
+
+    Examples
+    --------
+    >>> import cv2
+    >>> from facemime import FaceTracker
+    >>> tracker = FaceTracker.load()
+    >>> result = tracker.track(cv2.imread("portrait.png"))
+    >>> result.found, result.landmarks.shape
+    (True, (66, 2))
     """
 
     lost_below = 0.3

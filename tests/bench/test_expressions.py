@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score, slope
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
 
-RIG = built_in_rig()
+RIG = built_in_head()
 REST = np.asarray(RIG.vertices, dtype=np.float64)[RIG.landmarks]
 UNIT = outer_eye_distance(REST)
 

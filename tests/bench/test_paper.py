@@ -12,11 +12,11 @@ import pytest
 from bench import docs
 from bench.deformation import judge
 from bench.deformers import Method, regions
-from bench.heads import AREAS, TrueHead, built_in_head
+from bench.heads import AREAS, TrueHead, true_built_in_head
 from bench.paper import paper_settings, region_table
 from bench.paper_claims import cell, claims
 from bench.report import Table
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "paper.md"
@@ -38,7 +38,7 @@ KEYS = {
 
 @pytest.fixture(scope="module")
 def head() -> TrueHead:
-    return built_in_head()
+    return true_built_in_head()
 
 
 def test_the_tables_of_the_page_are_those_that_the_command_wrote():
@@ -56,7 +56,7 @@ def test_the_claims_follow_from_the_tables():
 
 
 def test_the_regions_are_those_of_the_shipped_head():
-    assert [list(row) for row in region_table(built_in_rig()).rows] == MEASURED["Regions"].rows
+    assert [list(row) for row in region_table(built_in_head()).rows] == MEASURED["Regions"].rows
 
 
 def test_the_errors_are_those_of_the_shipped_head(head):

@@ -116,7 +116,7 @@ def bake_every_way(bpy, head) -> dict:
     timeline = importlib.import_module(f"{MODULE}.blender.timeline")
     pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
     tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")
-    take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).finish().part(slice(0, 50))
+    take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).part(slice(0, 50))
     settings = importlib.import_module(f"{MODULE}.core.bake.settings")
     scene, worst = bpy.context.scene, {}
     scene.render.fps, scene.render.fps_base = 25, 1.0

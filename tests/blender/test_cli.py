@@ -19,9 +19,9 @@ import facemime
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media import rendering
 from facemime.blender.rigs import read_rig
-from facemime.core.control_points.select import from_json, select_for_take
+from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.errors import OutputError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.file import load_take, save_take
 from takes import performance
 
@@ -335,7 +335,7 @@ def test_select_uses_the_head_in_a_file(tmp_path):
     done = run("select", tmp_path / "take.facetake", "--head", tmp_path / "head.blend", "-o", points)
     assert done.returncode == 0, done.stderr
     found, take = from_json(points.read_text()), load_take(tmp_path / "take.facetake")
-    expected, usual = (select_for_take(rig, take) for rig in (read_rig(obj), built_in_rig()))
+    expected, usual = (select_control_points(rig, take) for rig in (read_rig(obj), built_in_head()))
     np.testing.assert_array_equal(found.membership, expected.membership)
     np.testing.assert_allclose(found.covariance, expected.covariance, rtol=1e-3, atol=1e-9)
     assert not np.allclose(found.covariance, usual.covariance, rtol=1e-2, atol=1e-10)

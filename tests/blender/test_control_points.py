@@ -10,7 +10,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.heads.landmark_places import landmark_places, nearest_landmark
 from facemime.blender.meshes import read_landmarks, read_selection, write_selection
 from facemime.blender.rigs import read_rig
-from facemime.core.control_points.select import select_for_take
+from facemime.core.control_points.select import select_control_points
 from facemime.core.landmarks import from_ibug
 from facemime.settings.panel_properties import list_landmarks
 from facemime.ui.control_points import FACEMIME_UL_landmarks, shown_rows
@@ -26,7 +26,7 @@ SIZE = (1000, 1000)
 @pytest.fixture
 def head():
     obj = add_head(bpy.context)
-    write_selection(obj.data, select_for_take(read_rig(obj), performance(), max_points=12))
+    write_selection(obj.data, select_control_points(read_rig(obj), performance(), max_points=12))
     return obj
 
 

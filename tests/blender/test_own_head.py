@@ -15,7 +15,7 @@ from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GR
 from facemime.blender.rigs import read_rig
 from facemime.cli.puppet.files import bound_character
 from facemime.core.binding.bind import MARKS
-from facemime.core.control_points.select import select_for_take, to_json
+from facemime.core.control_points.select import select_control_points, to_json
 from facemime.core.errors import HeadError
 from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.file import load_take, save_take
@@ -333,7 +333,7 @@ def test_the_operator_selects_the_points_that_the_function_selects(tmp_path):
     del obj.data[SELECTION_PROPERTY]
     never = [0, 1, 2]
     take = load_take(tmp_path / "take.facetake")
-    expected = select_for_take(read_rig(obj), take, tolerance=0.005, max_points=20, always=[33], never=never)
+    expected = select_control_points(read_rig(obj), take, tolerance=0.005, max_points=20, always=[33], never=never)
     np.testing.assert_array_equal(chosen.membership, expected.membership)
     assert [(s.action, s.landmark) for s in chosen.steps] == [(s.action, s.landmark) for s in expected.steps]
     assert len(chosen.landmarks) <= 20 and 33 in chosen.landmarks and not set(never) & set(chosen.landmarks)
@@ -341,7 +341,7 @@ def test_the_operator_selects_the_points_that_the_function_selects(tmp_path):
 
 def test_selected_points_drive_the_head_until_all_landmarks_are_restored(tmp_path):
     obj = add_head(bpy.context)
-    obj.data[SELECTION_PROPERTY] = to_json(select_for_take(read_rig(obj), performance(), max_points=15))
+    obj.data[SELECTION_PROPERTY] = to_json(select_control_points(read_rig(obj), performance(), max_points=15))
     assert read_rig(obj).control_points.any(axis=0).sum() <= 15
     assert bpy.ops.facemime.use_all_landmarks() == {"FINISHED"}
     assert read_rig(obj).control_points is None

@@ -15,7 +15,7 @@ from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.blender.viewports import free_box
-from facemime.core.control_points.select import select_for_take
+from facemime.core.control_points.select import select_control_points
 from facemime.core.heads.regions import REGIONS
 from facemime.core.landmarks import IBUG68_INDICES
 from facemime.core.takes.file import save_take
@@ -86,7 +86,7 @@ def test_control_points_show_curve_and_list():
     assert FACEMIME_PT_control_points.poll(bpy.context)
     drawn = draw(FACEMIME_PT_control_points)
     assert "All 66 landmarks" in drawn and "template_icon" not in drawn
-    selection = select_for_take(read_rig(head), performance(), max_points=12)
+    selection = select_control_points(read_rig(head), performance(), max_points=12)
     write_selection(head.data, selection)
     drawn = draw(FACEMIME_PT_control_points)
     assert f"{len(selection.landmarks)} control points" in drawn and "FACEMIME_UL_landmarks" in drawn
@@ -146,7 +146,7 @@ def test_what_covers_one_view_of_a_quad_view_does_not_narrow_the_others():
 
 def test_each_row_of_the_list_shows_number_region_order_and_error():
     head = add_head(bpy.context)
-    write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
+    write_selection(head.data, select_control_points(read_rig(head), performance(), max_points=12))
     layout, first = Layout(), next(row for row in shown_rows(head) if row.order == 1)
     FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", first.landmark)
     regions = ", ".join(REGIONS[row].name.capitalize() for row in first.regions)
@@ -329,7 +329,7 @@ def calibration_tooltip(pose: str) -> str:
 
 def test_everything_that_the_panels_draw_exists():
     head = add_head(bpy.context)
-    write_selection(head.data, select_for_take(read_rig(head), performance(), max_points=12))
+    write_selection(head.data, select_control_points(read_rig(head), performance(), max_points=12))
     layout = Layout()
     for panel in bpy.types.Panel.__subclasses__():
         if not panel.__name__.startswith("FACEMIME"):

@@ -23,7 +23,7 @@ from facemime.cli.main import main
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError
 from facemime.core.heads.appearance import built_in_appearance
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.streams.addresses import EVERYWHERE
 from facemime.core.takes.file import save_take
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -118,7 +118,7 @@ def test_an_error_of_the_viewer_during_a_puppet_turns_only_the_viewer_off(viewer
 def test_the_built_in_head_looks_in_the_browser_as_it_does_in_blender():
     head = add_head(bpy.context)
     ours, built_in = read_appearance(head), built_in_appearance(head.name)
-    driver = HeadDriver(built_in_rig(lashes=True), coefficient_face().neutral)
+    driver = HeadDriver(built_in_head(lashes=True), coefficient_face().neutral)
     assert sorted(images_of(ours)) == sorted(images_of(built_in))
     found = {(part.follows, len(part.vertices)): part for part in ours.parts if part.out is None}
     for part in (part for part in built_in.parts if part.out is None):

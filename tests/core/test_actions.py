@@ -16,13 +16,13 @@ from facemime.core.drive.actions import _MAX_ACTIVATION, TONGUE, ActionDriver
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.drive.settings import DriveSettings
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import from_ibug, outer_eye_distance
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
 from takes import performance
 
-HEAD = built_in_rig()
+HEAD = built_in_head()
 FACE = HEAD.vertices[HEAD.landmarks].astype(np.float64) / HEAD.eye_distance
 TOLD_BY_PICTURE = np.array([not name.startswith("brow") for name in ACTIONS])
 measured = arrays(np.float64, N_ACTIONS, elements=st.floats(-1.0, 2.0))
@@ -38,7 +38,7 @@ def showing(take: Take, **amounts: float) -> Take:
 
 
 def driver_of(take: Take, **options: object) -> HeadDriver:
-    return HeadDriver(built_in_rig(), calibrate(take), DriveSettings(**options))
+    return HeadDriver(built_in_head(), calibrate(take), DriveSettings(**options))
 
 
 def test_mirroring_actions_swaps_their_sides_and_twice_restores_them():
@@ -121,7 +121,7 @@ def test_a_take_that_shows_actions_puts_out_the_tongue_and_puffs_the_cheek():
     assert not motion.actions[: len(motion.times) // 2 - 1, TOLD_BY_PICTURE].any()
     assert motion.actions[-1, TONGUE] > 0.7
     added = np.linalg.norm(motion.vertices[-1] - plain.vertices[-1], axis=1)
-    assert added.max() > 0.02 * outer_eye_distance(built_in_rig().vertices[built_in_rig().landmarks])
+    assert added.max() > 0.02 * outer_eye_distance(built_in_head().vertices[built_in_head().landmarks])
 
 
 def test_only_landmarks_and_the_papers_kernels_ignore_actions():

@@ -17,7 +17,7 @@ from facemime.core.heads.built_in import load_head
 from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks, membership
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import (
     INNER,
     LOWER_LIDS,
@@ -245,7 +245,7 @@ def test_landmarks_whose_weight_fades_out_are_found():
 
 @pytest.mark.parametrize("weights", [HEAD.regions, propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)])
 def test_the_vertex_of_each_landmark_follows_it_exactly(weights):
-    rig = replace(built_in_rig(), region_weights=weights)
+    rig = replace(built_in_head(), region_weights=weights)
     opened = HEAD.units[HEAD.unit_names.index("jawOpen")][HEAD.landmarks].astype(float)
     deformer = head_deformer(rig, "gaussian", exact=True)
     found = (deformer.deform(opened) - deformer.rest)[HEAD.landmarks]

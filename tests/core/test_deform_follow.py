@@ -15,7 +15,7 @@ from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import SourceError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import from_ibug
 from facemime.core.mesh.kernels import get_kernel
 
@@ -89,7 +89,7 @@ def test_other_expressions_improve_too():
 @pytest.mark.thorough
 @pytest.mark.parametrize("kernel", ["gaussian", "informed"])
 def test_the_covariance_of_the_take_lowers_the_skin_error(kernel):
-    rig = built_in_rig()
+    rig = built_in_head()
     chosen = greedy_select(POINTS, SEEN, tolerance=1e-4, max_points=33)
     half = replace(rig, control_points=chosen.membership)
     rigs = (rig, half, replace(half, covariance=chosen.covariance))

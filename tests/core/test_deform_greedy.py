@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 
 from facemime.core.control_points.difference import SkinDifference
 from facemime.core.control_points.greedy import START, greedy_select
-from facemime.core.control_points.select import from_json, parse_landmarks, select_for_take, to_json
+from facemime.core.control_points.select import from_json, parse_landmarks, select_control_points, to_json
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import from_ibug
 from facemime.core.mesh.kernels import get_kernel
 from takes import performance
@@ -95,7 +95,7 @@ def test_invalid_motion_is_refused():
 
 def test_frames_are_numbered_as_in_the_take_lost_ones_included():
     take = performance()
-    selection = select_for_take(built_in_rig(), take, tolerance=0.003)
+    selection = select_control_points(built_in_head(), take, tolerance=0.003)
     assert all(take.found[step.frame] for step in selection.steps)
 
 

@@ -11,13 +11,13 @@ from facemime.core.deform.head_deformer import INFORMED, head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
 from facemime.core.errors import HeadError
 from facemime.core.heads.regions import membership, region_sigmas
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.landmarks import MIRROR
 from facemime.core.mesh.kernels import KERNELS, distances
 from facemime.core.rotation import euler_to_matrix
 
 ALL_KERNELS = [INFORMED, *KERNELS]
-RIG = built_in_rig()
+RIG = built_in_head()
 LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]
 UNIT = 0.09
 

@@ -12,14 +12,14 @@ from facemime.core.arrays import FloatArray
 from facemime.core.deform.lid_rims import LidRims, lid_rims
 from facemime.core.deform.rbf import RBFDeformer
 from facemime.core.heads.regions import membership
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, N_LANDMARKS, UPPER_LIDS
 
 
 @pytest.fixture(scope="module")
 def rig() -> HeadRig:
     """The built-in head with tall eyes, whose lids are steep between the corners and the landmarks."""
-    rig = built_in_rig()
+    rig = built_in_head()
     places = np.array(rig.vertices, dtype=np.float64)
     for eye in (EYE_RIGHT, EYE_LEFT):
         middle = places[rig.landmarks[eye]].mean(axis=0)

@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.skin import skin_covariance
 from facemime.core.errors import HeadError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
 from facemime.core.mesh.sparse import NestedDissection
 
-RIG = built_in_rig()
+RIG = built_in_head()
 LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]
 COVARIANCE = skin_covariance(RIG.vertices, RIG.faces, RIG.landmarks, RIG.region_weights)
 

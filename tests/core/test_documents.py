@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import textwrap
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,7 @@ import pytest
 from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings, PosingSettings
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.puppet.settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from takes import performance
@@ -55,14 +54,6 @@ def test_the_pictures_of_the_tutorials_are_all_used_and_small():
     assert sum(picture.stat().st_size for picture in pictures) < 3_000_000
 
 
-def test_the_example_of_the_reference_runs(monkeypatch, capsys):
-    monkeypatch.chdir(ROOT)
-    text = (ROOT / "docs" / "api" / "index.rst").read_text(encoding="utf-8")
-    code = textwrap.dedent(text.split(".. code-block:: python\n")[1].split("\nThe interface")[0])
-    exec(code, {})
-    assert capsys.readouterr().out.strip() == code.rsplit("# ", 1)[1].strip()
-
-
 DOCUMENTED = sorted({call for path in DOCUMENTS for call in _CALL.findall(path.read_text(encoding="utf-8"))})
 
 
@@ -72,7 +63,7 @@ def test_calls_in_documents_run_and_their_settings_drive_a_head(call):
     made = eval(call.replace("...", "1.0"), dict(known))
     options = made if isinstance(made, DriveSettings) else DriveSettings()
     take = performance()
-    frame = HeadDriver(built_in_rig(), calibrate(take), options).frame(take.result(50))
+    frame = HeadDriver(built_in_head(), calibrate(take), options).frame(take.result(50))
     assert np.isfinite(frame.vertices).all()
 
 

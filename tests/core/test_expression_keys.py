@@ -8,7 +8,7 @@ from facemime.core.drive.expression_keys import expression_keys
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
 from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import LOWER_LIDS, UPPER_LIDS
 
 
@@ -56,6 +56,6 @@ def test_the_jaw_carries_the_lower_teeth_and_looks_turn_the_eyes(made):
 
 
 def test_a_head_without_parts_gets_keys_too():
-    names, motions = expression_keys(built_in_rig())
+    names, motions = expression_keys(built_in_head())
     assert motions.shape == (len(names), len(load_head().vertices), 3)
     assert np.isfinite(motions).all()

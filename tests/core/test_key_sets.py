@@ -13,11 +13,11 @@ from facemime.core.drive.key_quality import findings, key_qualities
 from facemime.core.drive.key_sets import KEY_SETS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.heads.slits import SlitContact
 from facemime.core.mesh.intersections import crossing_pairs
 
-RIG = built_in_rig()
+RIG = built_in_head()
 LABELS = {
     "arkit": "ARKit 52, Rokoko, Faceit",
     "vrm": "VRM 1",

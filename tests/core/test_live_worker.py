@@ -16,7 +16,7 @@ from facemime.core.capture import VideoSource
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS
 from facemime.core.live import worker as worker_module
 from facemime.core.live.calibration import RangeCalibration
@@ -86,7 +86,7 @@ def run(worker: LiveWorker) -> LiveWorker:
 
 
 def test_heads_equal_those_without_a_worker():
-    take, rig = performance(), built_in_rig()
+    take, rig = performance(), built_in_head()
     neutral = calibrate(take)
     options = DriveSettings(strength_middle=0.5, strength_lower=1.2)
     worker = run(
@@ -106,7 +106,7 @@ def test_heads_equal_those_without_a_worker():
 def test_a_real_clip_is_tracked_as_offline():
     source = VideoPlayer(SAMPLE)
     source.pace = EagerClock()
-    worker = LiveWorker(source, heads=(LiveHead(built_in_rig()),), options=LiveOptions(smoothing=0.0, preview=160))
+    worker = LiveWorker(source, heads=(LiveHead(built_in_head()),), options=LiveOptions(smoothing=0.0, preview=160))
     recorded = Recorded()
     worker.record(recorded)
     worker.start()
@@ -123,7 +123,7 @@ def test_a_real_clip_is_tracked_as_offline():
 
 def test_without_a_neutral_the_first_second_with_a_face_is_used():
     take = performance()
-    worker = run(LiveWorker(Listed(frames_of(take)), heads=(LiveHead(built_in_rig()),)))
+    worker = run(LiveWorker(Listed(frames_of(take)), heads=(LiveHead(built_in_head()),)))
     assert worker.neutral is not None and len(worker.latest.heads) == 1
     first = take.part(take.times <= 1.0 + 1e-9)
     np.testing.assert_allclose(worker.neutral.shape, calibrate(first).shape, atol=1e-3)
@@ -171,7 +171,7 @@ def test_recordings_contain_unsmoothed_results():
 
 
 def test_options_and_heads_may_change_and_deformers_are_reused():
-    take, rig = performance(), built_in_rig()
+    take, rig = performance(), built_in_head()
     source = TakePlayer(take, "take", loop=True)
     source.pace = EagerClock()
     worker = LiveWorker(source, neutral=calibrate(take), heads=(LiveHead(rig),))
@@ -305,7 +305,7 @@ def blinks(count: int = 240):
 @pytest.mark.parametrize("wanted", [True, False])
 def test_where_eyes_are_shut_is_learnt_in_a_live_session_unless_turned_off(wanted):
     options = LiveOptions(smoothing=0.0, learn=wanted)
-    worker = run(LiveWorker(Listed(frames_of(blinks())), heads=(LiveHead(built_in_rig()),), options=options))
+    worker = run(LiveWorker(Listed(frames_of(blinks())), heads=(LiveHead(built_in_head()),), options=options))
     assert (worker.neutral.shut > 0.1) == wanted and (worker.learnt is worker.neutral) == wanted
 
 

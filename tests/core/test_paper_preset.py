@@ -10,7 +10,7 @@ import pytest
 
 from facemime.cli.main import main
 from facemime.cli.terminal.options import Parser, add_preset_option, add_puppet_options, parse, puppet_job
-from facemime.core.control_points.select import from_json, select_for_take
+from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
 from facemime.core.drive.driver import HeadDriver
@@ -19,7 +19,7 @@ from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.parts import FaceParts, Part
 from facemime.core.heads.regions import LOWER, MIDDLE, membership, sharp_regions
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
 from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import save_take
@@ -36,7 +36,7 @@ PAPER = DriveSettings(
     incremental=True,
     contact=False,
 )
-RIG = built_in_rig()
+RIG = built_in_head()
 POINTS = np.asarray(RIG.vertices, dtype=np.float64)[RIG.landmarks]
 
 
@@ -193,7 +193,7 @@ def test_refitting_survives_control_points_that_meet():
 
 def test_the_papers_search_only_adds_points_and_needs_more_of_them():
     take = performance()
-    ours, papers = (select_for_take(RIG, take, tolerance=0.004, search=search) for search in ("take", "paper"))
+    ours, papers = (select_control_points(RIG, take, tolerance=0.004, search=search) for search in ("take", "paper"))
     assert papers.reached and papers.covariance is None
     assert {step.action for step in papers.steps} <= {"start", "add"}
     assert len(ours.landmarks) < len(papers.landmarks)
@@ -202,7 +202,7 @@ def test_the_papers_search_only_adds_points_and_needs_more_of_them():
 
 def test_the_points_of_a_search_drive_the_head_by_the_papers_method():
     take = performance()
-    chosen = select_for_take(RIG, take, tolerance=0.01, search="paper")
+    chosen = select_control_points(RIG, take, tolerance=0.01, search="paper")
     rig = replace(RIG, control_points=chosen.membership, covariance=chosen.covariance)
     moved = drive_take(HeadDriver(rig, calibrate(take), PAPER), take).vertices
     all_points = drive_take(HeadDriver(RIG, calibrate(take), PAPER), take).vertices

@@ -18,7 +18,7 @@ from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
 from facemime.core.heads.part_names import named_part, names_body, names_skin
 from facemime.core.heads.parts import FaceParts, Part, skin_of
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.heads.sorting import Piece, lower_row, sort_pieces
 from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.mesh.pieces import border_twins, islands
@@ -40,7 +40,7 @@ def split_at(vertices: np.ndarray, faces: np.ndarray, side: np.ndarray) -> tuple
 
 def split_rig() -> tuple[HeadRig, np.ndarray]:
     """The built-in head with texture seams down the middle and across, and the original of each vertex."""
-    rig = built_in_rig()
+    rig = built_in_head()
     middle = rig.vertices[rig.faces[:, :3]].mean(axis=1)
     vertices, faces, first = split_at(rig.vertices, rig.faces, middle[:, 0] + 0.3 * middle[:, 1] > 0.0)
     return replace(rig, vertices=vertices, faces=faces, region_weights=rig.region_weights[:, first]), first
@@ -69,10 +69,10 @@ def test_a_seam_of_the_texture_is_closed_and_the_skin_moves_as_without_it():
     take = performance()
     neutral = calibrate(take)
     rig, first = split_rig()
-    assert len(rig.vertices) > len(built_in_rig().vertices) + 20
+    assert len(rig.vertices) > len(built_in_head().vertices) + 20
     skin = skin_of(rig.vertices, rig.faces, None, rig.landmarks)
-    assert len(skin.kept) == len(built_in_rig().vertices)
-    whole, split = HeadDriver(built_in_rig(), neutral), HeadDriver(rig, neutral)
+    assert len(skin.kept) == len(built_in_head().vertices)
+    whole, split = HeadDriver(built_in_head(), neutral), HeadDriver(rig, neutral)
     unit = rig.eye_distance
     for index in np.flatnonzero(take.found)[::20]:
         result = take.result(index)
@@ -82,7 +82,7 @@ def test_a_seam_of_the_texture_is_closed_and_the_skin_moves_as_without_it():
 
 def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
     head = load_head()
-    points = head.vertices[head.landmarks][:, :2] / built_in_rig().eye_distance
+    points = head.vertices[head.landmarks][:, :2] / built_in_head().eye_distance
     across, down = np.arange(-1.0, 1.0, 0.02), np.arange(-0.6, 1.6, 0.02)
     grid = np.stack([*np.meshgrid(across, down), np.zeros((len(down), len(across)))], axis=-1).reshape(-1, 3)
     number = np.arange(len(grid)).reshape(len(down), len(across))
@@ -101,7 +101,7 @@ def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
 
 
 def test_layers_that_touch_inside_a_mesh_are_not_joined():
-    rig = built_in_rig()
+    rig = built_in_head()
     doubled = np.concatenate([rig.vertices, rig.vertices])
     faces = np.concatenate([rig.faces, np.where(rig.faces >= 0, rig.faces + len(rig.vertices), -1)])
     inside = np.setdiff1d(
@@ -287,7 +287,7 @@ def test_a_lash_is_held_by_the_side_on_which_it_is_rooted():
 
 
 def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
-    rig, height = built_in_rig(), 0.06
+    rig, height = built_in_head(), 0.06
     eye, *_ = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
     rim = np.asarray(rig.vertices)[eye.upper[1:-1]]
     above = np.array([0.0, -height, 0.0]) * rig.eye_distance
@@ -346,14 +346,14 @@ def test_eyes_turn_about_their_centres_lower_teeth_follow_the_jaw_and_upper_ones
         turned = centre + (rest[kinds == kind] - centre) @ frame.gaze[side].T
         np.testing.assert_allclose(frame.vertices[kinds == kind], turned, atol=1e-6)
     first = int(np.flatnonzero(take.found)[0])
-    plain = HeadDriver(built_in_rig(), calibrate(take)).frame(take.result(first))
+    plain = HeadDriver(built_in_head(), calibrate(take)).frame(take.result(first))
     np.testing.assert_allclose(
         driver.frame(take.result(first)).vertices[: len(plain.vertices)], plain.vertices, atol=1e-6
     )
 
 
 def test_each_hair_of_a_brow_and_each_lash_keeps_its_shape_while_the_skin_stretches():
-    head, rig = load_head(), built_in_rig(lashes=True)
+    head, rig = load_head(), built_in_head(lashes=True)
     alone, skin = rig.skin()
     driver = PartDriver(rig, skin, alone)
     unit = head.units[head.unit_names.index("browDownLeft")] + head.units[head.unit_names.index("eyeBlinkLeft")]

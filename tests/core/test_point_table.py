@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facemime.core.control_points.select import from_json, select_for_take, to_json
+from facemime.core.control_points.select import from_json, select_control_points, to_json
 from facemime.core.control_points.table import (
     add_by_hand,
     draw_curve,
@@ -25,7 +25,7 @@ def selection():
     rig = HeadRig(
         vertices=head.vertices, landmarks=head.landmarks, region_weights=head.regions, jaw_pivot=head.jaw_pivot
     )
-    return select_for_take(rig, performance(), max_points=14)
+    return select_control_points(rig, performance(), max_points=14)
 
 
 def test_every_landmark_has_a_row_and_chosen_ones_have_order_reason_and_error(selection):

@@ -12,7 +12,7 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.posing import limit_rotation, limit_vector
 from facemime.core.drive.settings import DriveSettings, PosingSettings
 from facemime.core.errors import SourceError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.mirror import mirror_result
@@ -46,7 +46,7 @@ def test_full_strength_without_a_limit_changes_nothing(euler):
 
 
 def test_strength_and_limit_apply_to_head_eyes_and_position():
-    take, rig = performance(), built_in_rig()
+    take, rig = performance(), built_in_head()
     neutral, result = calibrate(take), take.result(len(take) - 1)
     plain = HeadDriver(rig, neutral).frame(result)
     still = HeadDriver(
@@ -65,7 +65,7 @@ def test_strength_and_limit_apply_to_head_eyes_and_position():
 
 
 def test_a_mirrored_head_moves_as_for_a_mirrored_image():
-    take, rig = performance(), built_in_rig()
+    take, rig = performance(), built_in_head()
     neutral = calibrate(take)
     mirrored = HeadDriver(rig, neutral, DriveSettings(mirror=True))
     straight = HeadDriver(rig, neutral.mirrored())
@@ -97,7 +97,7 @@ def test_the_lower_face_is_amplified_for_a_mouth_that_opens_little():
     assert neutral.mouth_gain == 1.0
     wide, small = replace(neutral, open_mouth=0.6), replace(neutral, open_mouth=0.28)
     assert wide.mouth_gain == 1.0 and 1.2 < small.mouth_gain <= 1.4
-    rig, result = built_in_rig(), performance().result(50)
+    rig, result = built_in_head(), performance().result(50)
     moved = [HeadDriver(rig, n).frame(result).vertices - rig.vertices for n in (wide, small)]
     chin = rig.landmarks[8]
     assert moved[1][chin, 1] == pytest.approx(small.mouth_gain * moved[0][chin, 1], rel=0.05)

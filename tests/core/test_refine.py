@@ -15,7 +15,7 @@ from facemime.core.drive.expression_keys import expression_keys
 from facemime.core.drive.key_quality import findings, key_qualities
 from facemime.core.drive.key_sets import KEY_SETS
 from facemime.core.errors import SourceError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import calibrate
 from takes import performance
 
@@ -24,18 +24,18 @@ KEYS = KEY_SETS["arkit"]
 
 @pytest.fixture(scope="module")
 def made() -> np.ndarray:
-    return expression_keys(built_in_rig())[1]
+    return expression_keys(built_in_head())[1]
 
 
 @pytest.fixture(scope="module")
 def refined() -> np.ndarray:
     take = performance()
-    return expression_keys(built_in_rig(), refine=lambda skin, made: refined_keys(skin, KEYS.names, made, [take]))[1]
+    return expression_keys(built_in_head(), refine=lambda skin, made: refined_keys(skin, KEYS.names, made, [take]))[1]
 
 
 def missed(keys: np.ndarray) -> float:
     """Mean distance of the vertices moved by keys from those of the driven head, over all frames of a take."""
-    take, rig = performance(), built_in_rig()
+    take, rig = performance(), built_in_head()
     neutral = calibrate(take)
     amounts = arkit_coefficients(take, neutral)[:, [COEFFICIENTS.index(name) for name in KEYS.names]]
     driver = HeadDriver(rig, neutral)
@@ -57,17 +57,17 @@ def test_blinks_gaze_and_still_keys_stay_as_they_were(made, refined):
 
 
 def test_lids_and_lips_of_refined_keys_still_meet_without_passing_through_each_other(refined):
-    qualities = key_qualities(built_in_rig(), KEYS, refined)
+    qualities = key_qualities(built_in_head(), KEYS, refined)
     assert max(quality.crossing for quality in qualities) <= 8, findings(qualities)
     assert max(quality.eyes for quality in qualities if not np.isnan(quality.eyes)) < 0.05
     assert max(quality.lips for quality in qualities if not np.isnan(quality.lips)) < 0.03
 
 
 def test_without_takes_the_keys_stay_as_they_were(made):
-    np.testing.assert_array_equal(refined_keys(built_in_rig(), KEYS.names, made, []), made)
+    np.testing.assert_array_equal(refined_keys(built_in_head(), KEYS.names, made, []), made)
 
 
 def test_a_take_without_a_face_cannot_refine_keys(made):
     take = performance()
     with pytest.raises(SourceError, match="No face"):
-        refined_keys(built_in_rig(), KEYS.names, made, [replace(take, found=np.zeros(len(take), bool))])
+        refined_keys(built_in_head(), KEYS.names, made, [replace(take, found=np.zeros(len(take), bool))])

@@ -12,7 +12,7 @@ from facemime.core.drive.retarget import _WIDENING_GAIN, Retargeter
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import EyeballContact
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
 from facemime.core.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from facemime.core.takes.neutral import Neutral, calibrate
@@ -68,7 +68,7 @@ def test_a_performers_closed_eye_closes_the_heads(rig):
 
 @given(st.floats(-0.2, 0.2), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
 def test_a_shut_eye_shuts_both_pairs_of_lids_however_the_openings_of_the_two_eyes_are_shaped(uneven, outer, inner):
-    rig = built_in_rig()
+    rig = built_in_head()
     face, points = performer(rig), np.array(rig.vertices[rig.landmarks], dtype=float)
     for pair, factor in zip(zip(UPPER_LIDS, LOWER_LIDS, strict=True), (outer, inner, inner, outer), strict=True):
         points[pair[0], 1] += (1.0 - factor) * (points[pair[1], 1] - points[pair[0], 1])
@@ -81,7 +81,7 @@ def test_a_shut_eye_shuts_both_pairs_of_lids_however_the_openings_of_the_two_eye
 
 @given(st.floats(0.05, 2.0))
 def test_the_heads_eyes_are_open_by_the_same_share_as_the_performers(share):
-    rig = built_in_rig()
+    rig = built_in_head()
     face, points = performer(rig), np.array(rig.vertices[rig.landmarks], dtype=float)
     current = face.copy()
     current[UPPER_LIDS, 1] = face[LOWER_LIDS, 1] - share * (face[LOWER_LIDS, 1] - face[UPPER_LIDS, 1])

@@ -18,7 +18,7 @@ from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, N_COEFFICIENTS
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.errors import SourceError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.live.head_drivers import LiveHead
 from facemime.core.live.sources import LiveFrame
 from facemime.core.live.worker import LiveOptions, LiveWorker
@@ -137,7 +137,7 @@ def test_a_puppet_returns_to_rest_in_the_worker_without_recording_it(opened):
 
     source, take = opened("livelink"), acted(20)
     sender = sender_to(source)
-    worker = LiveWorker(source, heads=(LiveHead(built_in_rig(), DriveSettings()),), options=LiveOptions(smoothing=0.0))
+    worker = LiveWorker(source, heads=(LiveHead(built_in_head(), DriveSettings()),), options=LiveOptions(smoothing=0.0))
     worker.record(Recorder())
     worker.start()
     try:
@@ -155,7 +155,7 @@ def test_a_puppet_returns_to_rest_in_the_worker_without_recording_it(opened):
             assert time.monotonic() - began < PATIENCE
         assert worker.neutral.measured
         vertices = worker.latest.heads[0].vertices
-        assert np.abs(vertices - built_in_rig().all_vertices).max() < 1e-4
+        assert np.abs(vertices - built_in_head().all_vertices).max() < 1e-4
         assert Recorder.times == sorted(set(Recorder.times))
     finally:
         worker.close()
@@ -216,7 +216,7 @@ def test_senders_are_distinguished_and_one_is_followed_until_it_ends(opened):
 
 def test_two_senders_drive_two_heads_in_one_worker(opened):
     source, take = opened("livelink", senders=("", "Ada")), acted(20)
-    neutral, rig = coefficient_face().neutral, built_in_rig()
+    neutral, rig = coefficient_face().neutral, built_in_head()
     ada, ben = (sender_to(source, subject=name) for name in ("Ada", "Ben"))
     still = coefficient_face().result(np.zeros(N_COEFFICIENTS), np.zeros(3), None)
     recorded: list[LiveFrame] = []

@@ -18,7 +18,7 @@ from clocks import PATIENCE
 
 from commands import run
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.live.sources import LiveFrame
 from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
@@ -145,9 +145,9 @@ def test_vertices_that_come_in_drive_another_head_as_they_moved_the_first(source
     with VertexSender(*source.address, [looks]) as sender:
         sender.show(2.0, [driver], [sent])
         came = next_frame(source)
-    larger = replace(built_in_rig(), vertices=2.0 * built_in_rig().vertices, eyeballs=())
+    larger = replace(built_in_head(), vertices=2.0 * built_in_head().vertices, eyeballs=())
     shown = HeadDriver(larger, came.neutral).frame(came.result)
-    landmarks = built_in_rig().landmarks
+    landmarks = built_in_head().landmarks
     true = 2.0 * (sent.vertices[landmarks] - driver.rest[landmarks])
     np.testing.assert_allclose(shown.displacements, true, atol=5e-5)
     np.testing.assert_allclose(shown.rotation, sent.rotation, atol=1e-5)

@@ -23,7 +23,7 @@ from facemime.core.actions import N_ACTIONS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.core.takes import format as layout
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of
@@ -42,8 +42,7 @@ CLIP = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 def tracked(tmp_path_factory) -> tuple[Take, Path]:
     """The first four seconds of the sample clip: the take in memory, and its file written while tracking."""
     path = tmp_path_factory.mktemp("take") / "sample.facetake"
-    recorder = track_video(CLIP, FaceTracker.load(), lambda done, *_: done < 100, path)
-    return recorder.finish(), path
+    return track_video(CLIP, FaceTracker.load(), lambda done, *_: done < 100, path), path
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +81,7 @@ def test_loaded_values_differ_by_at_most_half_a_step(tracked):
 
 def test_the_head_driven_by_the_loaded_take_differs_by_less_than_a_thousandth_of_the_eye_distance(tracked):
     take, path = tracked
-    rig = built_in_rig()
+    rig = built_in_head()
     driver = HeadDriver(rig, calibrate(take))
     was, now = (drive_take(driver, t).vertices for t in (take, load_take(path)))
     unit = np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(float)))

@@ -15,7 +15,7 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.rig import built_in_rig, neck_of
+from facemime.core.heads.rig import built_in_head, neck_of
 from facemime.core.live.key_driver import KeyDriver, LiveKeys
 from facemime.core.puppet.performance import Performance
 from facemime.core.puppet.settings import PuppetSettings
@@ -76,7 +76,7 @@ def test_a_head_that_turned_and_moved_does_the_same_on_itself():
     moves = rng.uniform(-0.05, 0.05, (FRAMES, 3))
     units = head.units[FITTED]
     take = sampled(head.vertices, head.landmarks, units, acted(FRAMES, len(units)), turns, moves)
-    driver = Performance.of(take, PuppetSettings()).driver(built_in_rig())
+    driver = Performance.of(take, PuppetSettings()).driver(built_in_head())
     for n in range(FRAMES):
         frame = driver.frame(take.result(n))
         np.testing.assert_allclose(frame.rotation, turns[n], atol=2e-3)
@@ -108,7 +108,7 @@ def test_weights_of_known_units_are_recovered_within_three_percent():
 
 
 def test_a_head_that_is_driven_live_by_its_keys_moves_as_the_head_that_was_sampled():
-    head, rig = load_head(), built_in_rig()
+    head, rig = load_head(), built_in_head()
     names = [COEFFICIENTS[index] for index in FITTED]
     weights, units = acted(FRAMES, len(FITTED)), head.units[FITTED]
     take = sampled(head.vertices, head.landmarks, units, weights)

@@ -15,7 +15,7 @@ from facemime.core.drive.anonymous import anonymise
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.errors import FacemimeError, SourceError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.mending import bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral
@@ -33,7 +33,7 @@ CLIP = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 @pytest.fixture(scope="module")
 def tracked() -> Take:
     """The whole sample clip, which blinks, talks and turns."""
-    return track_video(CLIP, FaceTracker.load()).finish()
+    return track_video(CLIP, FaceTracker.load())
 
 
 def gone(take: Take, *rows: int) -> Take:
@@ -176,7 +176,7 @@ def test_the_chosen_neutral_is_the_face_at_that_time(tracked):
 
 @pytest.mark.thorough
 def test_an_anonymous_take_drives_a_head_as_the_take_does(tracked):
-    rig = built_in_rig()
+    rig = built_in_head()
     told = [drive_take(HeadDriver(rig, calibrate(take)), take).vertices for take in (tracked, anonymise(tracked))]
     unit = np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]].astype(float)))
     assert np.linalg.norm(told[1] - told[0], axis=-1).max() < 0.005 * unit

@@ -12,7 +12,7 @@ from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import INNER
 from facemime.core.rotation import euler_to_matrix
 from facemime.core.takes.neutral import calibrate
@@ -107,7 +107,7 @@ def test_the_coefficients_are_those_of_the_script(results: list[TrackResult]) ->
 
 def test_the_avatar_turns_its_head_and_eyes_as_the_performer_does(results: list[TrackResult]) -> None:
     take, turned = take_of(results), np.load(TRUTH, allow_pickle=False)["pose"]
-    motion = drive_take(HeadDriver(built_in_rig(), calibrate(take)), take)
+    motion = drive_take(HeadDriver(built_in_head(), calibrate(take)), take)
     true = np.array([euler_to_matrix(*turn)[:, 2] for turn in turned])
     for shown in (motion.rotation[:, :, 2], *(motion.rotation[:, None] @ motion.gaze)[..., 2].swapaxes(0, 1)):
         away = np.degrees(np.arccos((shown * true).sum(axis=1)))

@@ -32,7 +32,7 @@ from facemime.core.errors import HeadError, SourceError
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.images import read_image
 from facemime.core.mesh.kernels import get_kernel
 from facemime.core.reading import parse_json
@@ -161,7 +161,7 @@ def _neutral() -> Neutral:
 
 def _read_neutral(text: str) -> None:
     neutral = Neutral.from_json(text)
-    rig = built_in_rig()
+    rig = built_in_head()
     for one in (neutral, neutral.mirrored()):
         moved = retargeter_for(one, rig.vertices[rig.landmarks]).displacements(_neutral().shape + 0.01)
         assert np.isfinite(moved).all()
@@ -178,7 +178,7 @@ def _read_points(text: str) -> None:
     selection = control_points.from_json(text)
     assert all(isinstance(row.reason, str) and row.order >= 0 for row in point_rows(selection))
     assert np.isfinite(draw_curve(selection)).all()
-    rig, kernel = built_in_rig(), get_kernel("gaussian")
+    rig, kernel = built_in_head(), get_kernel("gaussian")
     points = np.asarray(rig.vertices, np.float64)[rig.landmarks]
     sigmas = region_sigmas(points, kernel)
     assert np.isfinite(follow_matrix(points, selection.membership, selection.covariance, kernel, sigmas)).all()

@@ -20,7 +20,7 @@ from facemime.core.coefficient_names import COEFFICIENTS
 from facemime.core.drive.anonymous import anonymise
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import FacemimeError
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.recordings.reading import read_recording
 from facemime.core.takes.coefficient_table import from_coefficient_csv, write_coefficient_csv
 from facemime.core.takes.file import load_take, save_take
@@ -72,7 +72,7 @@ def _read_take(path: Path) -> None:
 
 
 _USES: tuple[Callable[[Take], Any], ...] = (
-    lambda take: HeadDriver(built_in_rig(), calibrate(take)).frame(take.result(int(take.found.argmax()))),
+    lambda take: HeadDriver(built_in_head(), calibrate(take)).frame(take.result(int(take.found.argmax()))),
     mirror_take,
     lambda take: remove_outliers(bridge_gaps(take)),
     smooth_zero_phase,

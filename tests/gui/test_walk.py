@@ -12,7 +12,7 @@ from walking import CLIP, HEAD, TOOLS, add_head, run_in_viewport, start, stop
 
 from facemime.blender.frames import to_blender
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.core.takes.neutral import Neutral
 from facemime.core.tracking.tracker import FaceTracker
@@ -53,7 +53,7 @@ def test_the_sample_clip_moves_the_head_as_it_does_headless_until_escape(blender
     assert blender.get("Session.current is not None"), "ESC over the outliner is none of the puppet's"
     stop(sidebar)
     assert blender.get(f"moved({HEAD})") == 0.0 and blender.get(f"{HEAD}.data.shape_keys") is None
-    rig = built_in_rig()
+    rig = built_in_head()
     unit = float(np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]])))
     expected = to_blender(headless_vertices(seen["time"], Neutral.from_dict(json.loads(json.dumps(seen["neutral"])))))
     away = np.linalg.norm(np.array(seen["shown"]) - expected, axis=1)
@@ -65,7 +65,7 @@ def headless_vertices(time: float, neutral: Neutral) -> np.ndarray:
     video, tracker = cv2.VideoCapture(str(CLIP)), FaceTracker.load()
     for _ in range(round(time * video.get(cv2.CAP_PROP_FPS)) + 1):
         result = tracker.track(video.read()[1])
-    return HeadDriver(built_in_rig(), neutral).frame(result).vertices
+    return HeadDriver(built_in_head(), neutral).frame(result).vertices
 
 
 _PREVIEW = f"""

@@ -16,7 +16,7 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.settings import DriveSettings
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.parts import FaceParts, Part
-from facemime.core.heads.rig import built_in_rig
+from facemime.core.heads.rig import built_in_head
 from facemime.core.landmarks import UPPER_LIDS
 from facemime.core.live.key_driver import KeyDriver, LiveKeys
 from watching import NEUTRAL, built_in, face, loaded, plain, shown_on, until, vertices_of
@@ -41,7 +41,7 @@ def with_lashes():
 
 def with_keys():
     """The built-in head, driven by its face units as shape keys."""
-    head, rig = load_head(), built_in_rig()
+    head, rig = load_head(), built_in_head()
     names = head.unit_names
     table = KeyMap("ARKit", tuple(KeyRow(name, name) for name in names))
     keys = LiveKeys(table, dict(zip(names, head.units, strict=True)), dict.fromkeys(names, (0.0, 1.0)))
@@ -50,7 +50,7 @@ def with_keys():
 
 def of_the_paper():
     """The built-in head as in the paper: in the plane, and without contact of the eyes."""
-    rig = built_in_rig()
+    rig = built_in_head()
     paper = DriveSettings(mode="planar", kernel="gaussian", borders="sharp", exact=True, contact=False)
     return HeadDriver(rig, NEUTRAL, paper), plain(rig)
 
@@ -83,7 +83,7 @@ def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watche
     shown = watched(built_in(), (HeadDriver(lashes, NEUTRAL), plain(lashes)), with_keys(), of_the_paper())
     shown.show(face())
     page = loaded(open_page(shown.address))
-    unit, head = built_in_rig().eye_distance, load_head()
+    unit, head = built_in_head().eye_distance, load_head()
     rest = shown.drivers[1].rest
     for number, seed in enumerate((1, 2, 3), start=2):
         frames = shown.show(face(seed, eyeBlinkLeft=1.0, eyeBlinkRight=1.0, tongueOut=1.0))
@@ -116,7 +116,7 @@ def test_normals_point_out_of_the_head(open_page, watched):
         "(() => { const a = viewer.avatars[0], v = new Float32Array(4 * a.normalTarget.width * a.normalTarget.height);"
         f"viewer.renderer.readRenderTargetPixels({read}); return Array.from(v); }})()"
     )
-    rig = built_in_rig()
+    rig = built_in_head()
     normals = np.array(values).reshape(-1, 4)[: len(rig.vertices), :3]
     assert np.allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-5)
     assert normals[rig.landmarks][:, 2].mean() < -0.5, "the face looks along -z"
@@ -178,7 +178,7 @@ def test_a_head_that_changes_is_loaded_again(open_page, watched):
     shown = watched()
     shown.show(face())
     page = loaded(open_page(shown.address))
-    rig = built_in_rig()
+    rig = built_in_head()
     shown.drivers = [HeadDriver(replace(rig, vertices=1.5 * rig.vertices), NEUTRAL)]
     (frame,) = shown.show(face(6))
     until(page, "viewer.stream.scene?.scene === 2")

@@ -14,7 +14,7 @@ from facemime.core.actions import N_ACTIONS
 from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.drive.driver import HeadDriver, HeadFrame
 from facemime.core.heads.appearance import Appearance, Material, Patch, built_in_appearance
-from facemime.core.heads.rig import HeadRig, built_in_rig
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.live.key_driver import KeyDriver
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.tracking.result import TrackResult
@@ -26,7 +26,7 @@ _LOADED = "!!globalThis.viewer && viewer.room && !viewer.loading && viewer.loade
 
 
 def built_in() -> tuple[HeadDriver, Appearance]:
-    return HeadDriver(built_in_rig(lashes=True), NEUTRAL), built_in_appearance()
+    return HeadDriver(built_in_head(lashes=True), NEUTRAL), built_in_appearance()
 
 
 def plain(rig: HeadRig, name: str = "Head") -> Appearance:
