@@ -135,7 +135,7 @@ def neck_of(points: FloatArray) -> FloatArray:
 
 def jaw_pivot_of(points: FloatArray) -> FloatArray:
     """Return the middle between the sides of the jaw, (3,), from landmarks, (66, 3): a point on its hinge."""
-    return np.asarray(points[_JAW_SIDES], dtype=np.float64).mean(axis=0)
+    return np.asarray(np.asarray(points, dtype=np.float64)[_JAW_SIDES].mean(axis=0))
 
 
 def _widened(faces: IntArray, width: int) -> IntArray:
