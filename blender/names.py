@@ -1,7 +1,7 @@
 """Names under which the data of a head is stored in a .blend file; changing one breaks the files of users."""
 
 LANDMARKS_PROPERTY = "facemime_landmarks"
-"""Custom property of the mesh: 66 vertex indices, in the order of `core.landmarks`."""
+"""Custom property of the mesh: 66 vertex indices, in the order of `core.face.landmarks`."""
 
 KEYS_PROPERTY = "facemime_keys"
 """Custom property of a mesh that its shape keys drive, without landmarks: 66 vertices near which they would lie."""

@@ -8,11 +8,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..core.face.landmarks import OUTER_EYE_CORNERS
 from ..core.heads.eyeballs import fit_eyeball
 from ..core.heads.parts import same_parts
 from ..core.heads.regions import membership
 from ..core.heads.rig import HeadRig, jaw_pivot_of
-from ..core.landmarks import OUTER_EYE_CORNERS
 from .characters import part_eyeballs, read_parts
 from .frames import from_blender
 from .meshes import (

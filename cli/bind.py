@@ -8,8 +8,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..core.binding.bind import MARKS, MIN_MARKS
-from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import FacemimeError
+from ..core.keys.key_sets import KEY_SETS
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ..core.takes.file import load_take
 from .terminal.blender import importing_blender

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.capture import check_readable
 from ..core.errors import OutputError, SourceError
-from ..core.files import check_writable, reason_of, replacing
-from ..core.images import IMAGE_SUFFIXES, read_image, write_image
-from ..core.landmarks import N_LANDMARKS
+from ..core.face.landmarks import N_LANDMARKS
+from ..core.files.writing import check_writable, reason_of, replacing
+from ..core.media.capture import check_readable
+from ..core.media.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.tracking.overlay import draw_landmarks
-from ..core.tracking.settings import TrackingSettings
 from ..core.tracking.tracker import FaceTracker
+from ..core.tracking.tracking_settings import TrackingSettings
 from .puppet.tracked import place_beside
 from .terminal.console import Progress, tell
 from .terminal.options import Commands, add_command, add_output, add_settings, filled

@@ -13,8 +13,8 @@ import sys
 from collections.abc import Sequence
 
 from ..core.errors import FacemimeError
+from ..core.files.version import version
 from ..core.puppet.job import HeadFile
-from ..core.version import version
 from . import bind, landmarks, receive, select, send, serve, takes
 from .batch import command as batch
 from .puppet import command as puppeting

@@ -17,10 +17,10 @@ from ..core.live.head_drivers import LiveHead
 from ..core.live.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.live.worker import LiveOptions, LiveWorker
 from ..core.puppet.job import HeadFile
-from ..core.puppet.settings import PuppetSettings
+from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
-from ..core.tracking.settings import TrackingSettings
+from ..core.tracking.tracking_settings import TrackingSettings
 from .terminal.blender import importing_blender
 from .terminal.console import Progress, tell
 from .terminal.options import add_face_option, add_settings, head_file, number

@@ -8,14 +8,14 @@ from pathlib import Path
 
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import parse_landmarks, select_control_points, to_json
-from ..core.control_points.settings import SelectionSettings
-from ..core.drive.settings import DriveSettings
-from ..core.files import replacing
+from ..core.control_points.selection_settings import SelectionSettings
+from ..core.drive.drive_settings import DriveSettings
+from ..core.face.landmarks import IBUG68_INDICES
+from ..core.files.setting import settings_of
+from ..core.files.writing import replacing
 from ..core.heads.regions import REGIONS
 from ..core.heads.rig import HeadRig, built_in_head
-from ..core.landmarks import IBUG68_INDICES
 from ..core.puppet.job import HeadFile
-from ..core.settings import settings_of
 from ..core.takes.neutral import calibrate
 from .terminal.blender import importing_blender
 from .terminal.console import say, tell

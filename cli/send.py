@@ -13,10 +13,10 @@ from ..core.heads.appearance import Appearance
 from ..core.live.head_drivers import LiveHead
 from ..core.live.worker import LiveWorker
 from ..core.puppet.job import HeadFile
-from ..core.streams.addresses import parse_address
-from ..core.streams.pairing import PORT as TLS_PORT
 from ..core.streams.sender import SENT, VTUBE_STUDIO, StreamSender
-from ..core.streams.settings import EXPRESSIONS, OWN, SendSettings
+from ..core.streams.stream_settings import EXPRESSIONS, OWN, SendSettings
+from ..core.streams.transport.addresses import parse_address
+from ..core.streams.transport.pairing import PORT as TLS_PORT
 from ..core.streams.vertices import VERTICES, VertexSender
 from .performance import Performance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
@@ -24,7 +24,7 @@ from .terminal.options import Commands, add_command, add_key_option, filled
 from .terminal.stopping import STOPPING
 
 if TYPE_CHECKING:
-    from ..core.streams.tls_server import TlsSender
+    from ..core.streams.transport.tls_server import TlsSender
     from ..core.streams.vtube_studio_api import VTubeStudioSender
 
     Sender = StreamSender | VertexSender | TlsSender | VTubeStudioSender
@@ -186,8 +186,8 @@ def user_settings() -> Path:
 
 def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
-    from ..core.streams.identity import load_identity
-    from ..core.streams.tls_server import TlsSender  # its libraries would delay the other commands
+    from ..core.streams.transport.identity import load_identity
+    from ..core.streams.transport.tls_server import TlsSender  # its libraries would delay the other commands
 
     if job.tls is None:
         raise FacemimeError("There is no certificate. Add --tls FOLDER; it is created there the first time.")

@@ -11,9 +11,9 @@ from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
 from ..core.live.worker import LiveWorker
 from ..core.puppet.job import HeadFile
-from ..core.streams.addresses import LOOPBACK, parse_address
+from ..core.streams.transport.addresses import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
-from ..core.viewer.settings import PORT, ViewerSettings, kept_token
+from ..core.viewer.viewer_settings import PORT, ViewerSettings, kept_token
 from .performance import Performance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command, filled

@@ -1,4 +1,4 @@
-"""Everything that Facemime computes, with numpy, OpenCV and the standard library, and without Blender.
+"""Everything that Facemime computes, without Blender.
 
 Two frames of reference are used throughout:
 

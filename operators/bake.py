@@ -11,7 +11,7 @@ from ..blender.timeline import frames_of
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
-from ..core.files import replacing
+from ..core.files.writing import replacing
 from ..core.takes.neutral import calibrate
 from ..sessions.session import Session
 from ..settings import takes_store

@@ -10,10 +10,10 @@ from ..blender.meshes import is_head, read_selection, write_selection
 from ..blender.rigs import read_rig
 from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_control_points
-from ..core.control_points.settings import SelectionSettings
+from ..core.control_points.selection_settings import SelectionSettings
 from ..core.control_points.table import add_by_hand, drop_by_hand
 from ..core.errors import HeadError
-from ..core.landmarks import N_LANDMARKS
+from ..core.face.landmarks import N_LANDMARKS
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take

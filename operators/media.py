@@ -9,7 +9,7 @@ from ..blender.media.reference import add_reference
 from ..blender.media.sound import add_sound
 from ..blender.timeline import rate_of
 from ..core.errors import SourceError
-from ..core.media_starts import sound_lead
+from ..core.media.media_starts import sound_lead
 from ..settings import takes_store
 from ..settings.values import take_start
 from .shared import AsksForFile, heads_in, report, require_heads

@@ -32,7 +32,7 @@ from ..blender.placement import select_alone
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
 from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
-from ..core.landmarks import from_ibug
+from ..core.face.landmarks import from_ibug
 from ..settings.panel_properties import keep_findings
 from .place_points import CheckedBinding
 from .shared import (

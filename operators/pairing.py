@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..core.streams.identity import renew_identity
+from ..core.streams.transport.identity import renew_identity
 from ..settings.pairing import pairing_folder, pairing_line
 from .puppet import running
 from .shared import ReportsErrors, report, require

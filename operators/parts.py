@@ -15,9 +15,9 @@ from ..blender.heads.family import armature_of
 from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head
 from ..blender.names import HEAD_PROPERTY
-from ..core.drive.key_sets import KEY_SETS
 from ..core.errors import HeadError, SourceError
 from ..core.heads.parts import PART_NAMES, Part
+from ..core.keys.key_sets import KEY_SETS
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store

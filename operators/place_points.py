@@ -17,7 +17,7 @@ from ..blender.viewports import Viewport, redraw, viewport_under
 from ..core.binding.bind import MIN_MARKS
 from ..core.control_points.select import parse_landmarks
 from ..core.errors import HeadError
-from ..core.landmarks import IBUG68_INDICES
+from ..core.face.landmarks import IBUG68_INDICES
 from ..sessions.session import Session
 from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, subject
 

@@ -3,8 +3,8 @@
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
-from ..core.puppet.presets import built_in_path
-from ..settings import presets
+from ..core.puppet.built_in_presets import built_in_path
+from ..settings import user_presets as presets
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 
 

@@ -11,8 +11,8 @@ from bpy.props import BoolProperty, StringProperty
 from ..blender.heads.family import character_in, heads_of, is_character
 from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import displayable
-from ..core.capture import check_readable, require_utf8_name
 from ..core.errors import FacemimeError, SourceError
+from ..core.media.capture import check_readable, require_utf8_name
 from ..sessions.session import Session
 
 

@@ -24,7 +24,7 @@ from ..core.drive.driver import HeadDriver
 from ..core.errors import FacemimeError, HeadError
 from ..core.live.key_driver import KeyDriver, LiveKeys
 from ..core.puppet.performance import Performance
-from ..core.puppet.settings import PuppetSettings
+from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take
 from ..settings.values import place_take, pose_targets, puppet_settings
 from .session import Session

@@ -16,7 +16,7 @@ from ..core.live.key_driver import LiveKeys
 from ..core.live.sources import LiveSource
 from ..core.live.worker import LiveOptions
 from ..core.streams.source import StreamSource
-from ..core.tracking.settings import TrackingSettings
+from ..core.tracking.tracking_settings import TrackingSettings
 from ..settings.bake_table import read_table
 from ..settings.performers import read_calibration, write_calibration
 from ..settings.preferences import preferences

@@ -12,9 +12,9 @@ from ..blender.animation.appearance import read_appearance
 from ..blender.messages import show_error
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
-from ..core.streams.addresses import LOOPBACK
+from ..core.streams.transport.addresses import LOOPBACK
 from ..core.streams.vertices import VertexSender
-from ..core.viewer.settings import new_token
+from ..core.viewer.viewer_settings import new_token
 from ..settings.properties import FacemimeSettings
 from ..settings.stream_properties import FacemimeOutput
 from ..settings.values import sends_vertices, viewer_settings

@@ -20,8 +20,8 @@ from bpy.app.handlers import persistent
 
 from ..blender.messages import show_error
 from ..core.errors import OutputError
-from ..core.files import reason_of, replacing
-from ..core.reading import as_object, as_text, parse_format, read_text
+from ..core.files.reading import as_object, as_text, parse_format, read_text
+from ..core.files.writing import reason_of, replacing
 from .preferences import preferences
 from .storage import free_path, presets_folder, private_folder, relative, user_folder
 

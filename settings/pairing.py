@@ -5,14 +5,14 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..core.streams.addresses import EVERYWHERE
-from ..core.streams.identity import load_identity
-from ..core.streams.pairing import PORT
+from ..core.streams.transport.addresses import EVERYWHERE
+from ..core.streams.transport.identity import load_identity
+from ..core.streams.transport.pairing import PORT
 from .storage import private_folder
 from .stream_properties import FacemimeOutput
 
 if TYPE_CHECKING:
-    from ..core.streams.tls_server import TlsSender
+    from ..core.streams.transport.tls_server import TlsSender
 
 
 def pairing_folder() -> Path:
@@ -57,7 +57,7 @@ def open_paired_sender(output: FacemimeOutput) -> TlsSender:
     OutputError
         If the certificate cannot be written.
     """
-    from ..core.streams.tls_server import TlsSender  # only now, as its libraries take a moment
+    from ..core.streams.transport.tls_server import TlsSender  # only now, as its libraries take a moment
 
     identity = load_identity(pairing_folder())
     return TlsSender(listening_host(output), output.port or PORT, identity.context, identity.token)

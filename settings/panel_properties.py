@@ -15,9 +15,9 @@ from ..blender.heads.family import face_candidates, heads_of, leads_to_face
 from ..blender.messages import displayable
 from ..blender.placement import select_alone
 from ..blender.registering import watch
-from ..core.control_points.settings import SelectionSettings
+from ..core.control_points.selection_settings import SelectionSettings
+from ..core.face.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..core.heads.checks import Finding
-from ..core.landmarks import IBUG68_INDICES, N_LANDMARKS
 from .rna import with_settings
 from .values import source_text
 

@@ -11,9 +11,9 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..core.drive.settings import DriveSettings, PosingSettings
-from ..core.puppet.settings import PuppetSettings
-from ..core.tracking.settings import TrackingSettings
+from ..core.drive.drive_settings import DriveSettings, PosingSettings
+from ..core.puppet.puppet_settings import PuppetSettings
+from ..core.tracking.tracking_settings import TrackingSettings
 from .rna import with_settings
 from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 

@@ -3,9 +3,9 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..core.streams.addresses import EVERYWHERE, LOOPBACK
-from ..core.streams.settings import SendSettings, StreamSettings
-from ..core.viewer.settings import PORT
+from ..core.streams.stream_settings import SendSettings, StreamSettings
+from ..core.streams.transport.addresses import EVERYWHERE, LOOPBACK
+from ..core.viewer.viewer_settings import PORT
 from .rna import with_settings
 
 _BOTH_WAYS = (

@@ -12,7 +12,7 @@ from bpy.props import (
 )
 
 from ..core.bake.arkit import COEFFICIENTS
-from ..core.bake.settings import BakeSettings
+from ..core.bake.bake_settings import BakeSettings
 from .rna import with_settings
 
 

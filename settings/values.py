@@ -14,24 +14,24 @@ import bpy
 from ..blender.animation.scene_range import start_frame
 from ..blender.animation.targets import PoseTarget, own_targets
 from ..blender.timeline import keyed_frame
-from ..core.assets import ASSETS
-from ..core.bake.settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
-from ..core.capture import is_address
-from ..core.drive.settings import DriveSettings, PosingSettings
+from ..core.bake.bake_settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
+from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.errors import SourceError
+from ..core.files.assets import ASSETS
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
-from ..core.puppet.settings import PuppetSettings
-from ..core.streams.addresses import LOOPBACK, is_loopback
-from ..core.streams.pairing import parse_pairing
+from ..core.media.capture import is_address
+from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.streams.sender import VTUBE_STUDIO, StreamSender
-from ..core.streams.settings import OWN, PROTOCOLS, SendSettings, StreamSettings
 from ..core.streams.source import StreamSource
+from ..core.streams.stream_settings import OWN, PROTOCOLS, SendSettings, StreamSettings
+from ..core.streams.transport.addresses import LOOPBACK, is_loopback
+from ..core.streams.transport.pairing import parse_pairing
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
-from ..core.tracking.settings import TrackingSettings
-from ..core.viewer.settings import ViewerSettings
+from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.viewer.viewer_settings import ViewerSettings
 from .bake_table import read_table
 from .pairing import listening_host, open_paired_sender
 from .preferences import preferences
@@ -42,7 +42,7 @@ from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
 from .takes_properties import FacemimeBake
 
 if TYPE_CHECKING:
-    from ..core.streams.tls_server import TlsSender
+    from ..core.streams.transport.tls_server import TlsSender
     from ..core.streams.vtube_studio_api import VTubeStudioSender
 
 _DEFAULT_BAKE = BakeSettings()

@@ -14,7 +14,7 @@ python_of() {
 }
 for pair in 4.2:3.11 4.5:3.11 5.0:3.11 5.2:3.13; do
     version=${pair%:*}
-    key=$(sha256sum "requirements/bpy-$version.txt" | cut -c1-12)
+    key=$(sha256sum "tools/requirements/bpy-$version.txt" | cut -c1-12)
     place=$cache/bpy-$version-$key
     [ -e "$place/.ready" ] && continue
     python=$(python_of "${pair#*:}")
@@ -24,6 +24,6 @@ for pair in 4.2:3.11 4.5:3.11 5.0:3.11 5.2:3.13; do
     fi
     echo "Setting up Blender $version in $place" >&2
     "$python" -m venv --clear "$place"
-    "$place/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir --require-hashes -r "requirements/bpy-$version.txt"
+    "$place/bin/pip" install --quiet --disable-pip-version-check --no-cache-dir --require-hashes -r "tools/requirements/bpy-$version.txt"
     touch "$place/.ready"
 done

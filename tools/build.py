@@ -53,7 +53,9 @@ def fetch_wheels(manifest: dict) -> None:
         if path.name not in named:
             path.unlink()
     if missing := named - {path.name for path in WHEELS.iterdir()}:
-        raise SystemExit(f"Wheels in blender_manifest.toml that requirements/wheels.txt does not provide: {missing}")
+        raise SystemExit(
+            f"Wheels in blender_manifest.toml that tools/requirements/wheels.txt does not provide: {missing}"
+        )
 
 
 def _download_wheels(manifest: dict) -> None:

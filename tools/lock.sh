@@ -1,9 +1,9 @@
 #!/bin/sh
-# Pins the packages in requirements/*.in, with hashes.
+# Pins the packages in tools/requirements/*.in, with hashes.
 set -eu
-cd "$(dirname "$0")/../requirements"
-uv() { ../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
-../.venv/bin/pip install --quiet uv
+cd "$(dirname "$0")/requirements"
+uv() { ../../.venv/bin/uv pip compile --quiet --no-header --generate-hashes "$@"; }
+../../.venv/bin/pip install --quiet uv
 uv --universal --python-version 3.11 dev.in -o dev.txt
 uv --universal --python-version 3.11 farm.in -o farm.txt
 uv --python-version 3.11 training.in -o training.txt

@@ -2,7 +2,7 @@
 # Builds numpy as Blender does, without BLAS and LAPACK, outside the clone, keyed by its requirements; prints its folder.
 set -eu
 cd "$(dirname "$0")/.."
-key=$(cat requirements/plain.txt requirements/plain-build.txt tools/plain_numpy.sh | sha256sum | cut -c1-12)
+key=$(cat tools/requirements/plain.txt tools/requirements/plain-build.txt tools/plain_numpy.sh | sha256sum | cut -c1-12)
 place=${FACEMIME_CACHE:?}/numpy-plain-$key
 if [ ! -e "$place/.ready" ]; then
     if ! command -v cc >/dev/null 2>&1 || ! command -v c++ >/dev/null 2>&1; then
@@ -12,9 +12,9 @@ if [ ! -e "$place/.ready" ]; then
     echo "Building numpy without BLAS in $place; this takes some minutes" >&2
     rm -rf "$place"
     "${PYTHON:-python3.11}" -m venv "$place/build"
-    "$place/build/bin/pip" install --quiet --disable-pip-version-check --require-hashes -r requirements/plain-build.txt >&2
+    "$place/build/bin/pip" install --quiet --disable-pip-version-check --require-hashes -r tools/requirements/plain-build.txt >&2
     PATH="$place/build/bin:$PATH" "$place/build/bin/pip" install --quiet --disable-pip-version-check --no-deps \
-        --no-build-isolation --no-binary numpy --require-hashes -r requirements/plain.txt --target "$place/packages" \
+        --no-build-isolation --no-binary numpy --require-hashes -r tools/requirements/plain.txt --target "$place/packages" \
         --config-settings=setup-args=-Dallow-noblas=true --config-settings=setup-args=-Dblas=none \
         --config-settings=setup-args=-Dlapack=none >&2
     rm -rf "$place/build"

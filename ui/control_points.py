@@ -15,8 +15,8 @@ from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
 from ..core.control_points.table import PointRow, draw_curve, point_rows
 from ..core.errors import FacemimeError
+from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.regions import REGIONS
-from ..core.landmarks import IBUG68_INDICES
 from ..operators.shared import subject
 from .sidebar import OnHead, is_narrow, labels, place, side_by_side, split_labels
 

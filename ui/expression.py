@@ -3,8 +3,8 @@
 import bpy
 
 from ..blender.messages import CONTEXT
-from ..core.puppet.presets import BUILT_IN
-from ..settings import presets
+from ..core.puppet.built_in_presets import BUILT_IN
+from ..settings import user_presets as presets
 from .sidebar import Sidebar, labels, place, split_labels
 
 

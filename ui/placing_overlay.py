@@ -14,8 +14,8 @@ from ..blender.heads.placing import Placing, place_of_mark
 from ..blender.messages import interface as _
 from ..blender.viewports import free_box
 from ..core.binding.bind import MARKS
+from ..core.face.landmarks import EDGES, from_ibug
 from ..core.heads.built_in import load_head
-from ..core.landmarks import EDGES, from_ibug
 from ..operators.place_points import placing_on
 from ..operators.preview_place import MARGIN
 from ..operators.shared import subject

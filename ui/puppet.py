@@ -6,7 +6,7 @@ import bpy
 
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
-from ..core.streams.settings import OWN
+from ..core.streams.stream_settings import OWN
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
 from ..settings.stream_properties import FacemimeOutput

@@ -7,7 +7,7 @@ import bpy
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..core.live.camera import list_cameras
-from ..core.streams.settings import OWN, PROTOCOLS
+from ..core.streams.stream_settings import OWN, PROTOCOLS
 from ..core.streams.vertices import VERTICES
 from ..operators.puppet import running
 from ..operators.shared import heads_in

@@ -5,8 +5,8 @@ import bpy
 from ..blender.animation.underneath import playing_under
 from ..blender.meshes import can_be_driven
 from ..blender.messages import interface as _
-from ..core.bake.settings import AUTOMATIC
-from ..core.timecode import timecode
+from ..core.bake.bake_settings import AUTOMATIC
+from ..core.media.timecode import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow

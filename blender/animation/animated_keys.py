@@ -5,11 +5,11 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.arrays import FloatArray
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.key_map import KeyMap, best_preset, presets
-from ...core.coefficient_names import COEFFICIENTS
+from ...core.face.coefficient_names import COEFFICIENTS
 from ...core.heads.looks import LOOKS
+from ...core.numeric.arrays import FloatArray
 from ...core.takes.neutral import calibrate
 from ...core.takes.take import Take
 from ..characters import objects_of

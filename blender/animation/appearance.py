@@ -10,8 +10,8 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ...core.files.reading import read_bytes
 from ...core.heads.appearance import Appearance, AttachedPart, Material, Patch
-from ...core.reading import read_bytes
 from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender
 from ..meshes import read_faces, read_vertices

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ...core.bake.point_cache import in_between, write_point_cache
 from ...core.drive.motion import HeadMotion
 from ...core.errors import OutputError
-from ...core.files import replacing
+from ...core.files.writing import replacing
 from ..characters import Member
 from ..frames import to_blender
 from ..media.rendering import quiet

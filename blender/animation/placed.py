@@ -9,7 +9,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.arrays import FloatArray
+from ...core.numeric.arrays import FloatArray
 from ..actions import Curve, write_curves
 from ..characters import own_rotation
 from ..muting import animated_paths, keyed_paths, strips_of

@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 import bpy
 import numpy as np
 
-from ...core.arrays import FloatArray
 from ...core.bake.arkit import arkit_coefficients
+from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ...core.bake.basis import fit_basis
 from ...core.bake.fit import fit_keys, mix_errors
 from ...core.bake.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
 from ...core.bake.point_cache import SUFFIX
-from ...core.bake.settings import AUTOMATIC, BakeSettings
 from ...core.drive.motion import HeadMotion, drive_take
 from ...core.errors import HeadError, OutputError
 from ...core.heads.rig import HeadRig
+from ...core.numeric.arrays import FloatArray
 from ...core.puppet.performance import Performance
-from ...core.puppet.settings import PuppetSettings
+from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of

@@ -9,13 +9,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import FloatArray
 from ...core.bake.key_map import known_expressions
 from ...core.errors import HeadError
+from ...core.face.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_distance
 from ...core.heads.parts import Part
 from ...core.heads.regions import LOWER
 from ...core.heads.rig import neck_of
-from ...core.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_distance
+from ...core.numeric.arrays import FloatArray
 from ...core.takes.from_animation import FacePoints, PointTracker, describe_animation
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.settings import CURRENT_FRAME, SCENE_START
+from ...core.bake.bake_settings import CURRENT_FRAME, SCENE_START
 from ..media.sound import is_of_take, strips_of
 from ..muting import others_playing
 from ..names import RANGE_PROPERTY

@@ -16,11 +16,11 @@ import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
-from ...core.arrays import IntArray
 from ...core.drive.eyes import eye_strength
 from ...core.drive.posing import limit_rotation
 from ...core.errors import HeadError
-from ...core.landmarks import EYE_CORNERS
+from ...core.face.landmarks import EYE_CORNERS
+from ...core.numeric.arrays import IntArray
 from ..actions import Curve
 from ..characters import (
     objects_of,

@@ -11,9 +11,9 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.arrays import FloatArray, IntArray
+from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.parts import Skin
-from ...core.landmarks import N_LANDMARKS
+from ...core.numeric.arrays import FloatArray, IntArray
 from ..meshes import read_faces, read_landmarks, read_vertices, write_landmarks
 
 _TAG = "facemime_line"

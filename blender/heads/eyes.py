@@ -9,11 +9,11 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.arrays import FloatArray
 from ...core.errors import HeadError
 from ...core.heads.eye_outline import EYES, EyeOutline, eye_outline
 from ...core.heads.lids import EyeCut, coarse_edges, cut_eye, eyes_joined
 from ...core.mesh.surface import SurfaceGraph
+from ...core.numeric.arrays import FloatArray
 from ..frames import from_blender, to_blender
 from ..meshes import mesh_of, read_landmarks, read_vertices, write_landmarks
 from ..names import EYES_GROUP

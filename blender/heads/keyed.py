@@ -8,13 +8,13 @@ import bpy
 import numpy as np
 
 from ...core.bake.key_map import KeyMap, best_preset
-from ...core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
-from ...core.drive.keyed_face import face_from_keys
 from ...core.errors import HeadError
+from ...core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from ...core.heads.bones import FaceBones
 from ...core.heads.part_names import names_body
 from ...core.heads.parts import Part
 from ...core.heads.rig import neck_of
+from ...core.keys.keyed_face import face_from_keys
 from ..characters import write_bones, write_kinds
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import group_weights, key_names, read_vertices

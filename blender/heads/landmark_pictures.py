@@ -9,7 +9,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ...core.landmarks import EDGES
+from ...core.face.landmarks import EDGES
 from ..media.preview_scene import face_points, setup_preview
 from ..media.rendering import render_frames
 from ..meshes import read_landmarks

@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core import linalg
 from ...core.errors import HeadError
+from ...core.numeric import linalg
 from ..meshes import read_landmarks
 
 NEAR = 24.0

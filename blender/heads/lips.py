@@ -9,11 +9,11 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.arrays import IntArray
 from ...core.errors import HeadError
+from ...core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, outer_eye_distance
 from ...core.heads.lips import lip_line, rim_landmarks
-from ...core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, outer_eye_distance
 from ...core.mesh.surface import SurfaceGraph, lips_joined
+from ...core.numeric.arrays import IntArray
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 from .binding import propose_head_regions
 from .cutting import close_seams, copy_moved, edited, indices, separate, split_along

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import bpy
 import numpy as np
 
-from ...core.arrays import FloatArray
 from ...core.errors import HeadError
+from ...core.numeric.arrays import FloatArray
 from ..frames import to_blender
 from ..meshes import read_vertices
 from .binding import write_marks

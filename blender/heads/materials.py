@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import bpy
 
-from ...core.assets import ASSETS
 from ...core.errors import ModelError
+from ...core.files.assets import ASSETS
 from ..names import UV_MAP
 
 TEXTURES = ASSETS / "head"

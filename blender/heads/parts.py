@@ -9,17 +9,17 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import FloatArray, IntArray
 from ...core.errors import HeadError
+from ...core.face.landmarks import JAW, NOSE, outer_eye_distance
 from ...core.heads.bones import FaceBones, find_bones
 from ...core.heads.part_names import named_part, names_body
 from ...core.heads.parts import Part, Skin, skin_of
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import neck_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
-from ...core.landmarks import JAW, NOSE, outer_eye_distance
 from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
+from ...core.numeric.arrays import FloatArray, IntArray
 from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
 from ..meshes import group_weights, read_faces, read_landmarks, read_vertices

@@ -10,8 +10,8 @@ from bpy_extras import view3d_utils
 from mathutils import Vector
 
 from ...core.binding.bind import MARKS, MIN_MARKS
+from ...core.face.landmarks import from_ibug
 from ...core.heads.parts import Part
-from ...core.landmarks import from_ibug
 from ..characters import read_kinds
 from ..meshes import is_head, read_landmarks, read_regions, write_landmarks
 from ..viewports import Viewport

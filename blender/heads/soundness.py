@@ -6,8 +6,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.arrays import FloatArray
 from ...core.errors import HeadError
+from ...core.numeric.arrays import FloatArray
 from ..frames import to_blender
 from ..meshes import read_faces, read_vertices
 from .family import family_of

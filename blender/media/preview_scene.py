@@ -10,9 +10,9 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ...core.face.landmarks import outer_eye_distance
+from ...core.face.rotation import fit_rotation
 from ...core.heads.built_in import load_head
-from ...core.landmarks import outer_eye_distance
-from ...core.rotation import fit_rotation
 from ..characters import objects_of
 from ..collections import collections_in, revealed
 from ..frames import to_blender

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.capture import VideoSource
+from ...core.media.capture import VideoSource
 from ..actions import Curve, write_curves
 from ..timeline import rate_of
 

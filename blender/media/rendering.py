@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.capture import VideoSource, require_utf8_name
 from ...core.errors import OutputError, SourceError
-from ...core.files import replacing
-from ...core.locks import temporary_folder
+from ...core.files.locks import temporary_folder
+from ...core.files.writing import replacing
+from ...core.media.capture import VideoSource, require_utf8_name
 from ..collections import collections_in
 from ..contexts import showing_scene
 from .preview_scene import set_shading

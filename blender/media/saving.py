@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ...core.errors import OutputError
-from ...core.files import replacing
+from ...core.files.writing import replacing
 from .rendering import quiet
 
 

@@ -19,14 +19,14 @@ from typing import Any
 
 import numpy as np
 
-from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import SourceError
-from ...core.files import reason_of, replacing
+from ...core.files.reading import parse_json, read_text
+from ...core.files.version import version
+from ...core.files.writing import reason_of, replacing
+from ...core.media.capture import check_readable, require_utf8_name
 from ...core.puppet.job import PuppetJob
-from ...core.reading import parse_json, read_text
 from ...core.takes.take import Take
 from ...core.tracking.tracker import FaceTracker
-from ...core.version import version
 from .record import checked_record
 
 VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})

@@ -7,7 +7,7 @@ import binascii
 from pathlib import PurePath
 from typing import Any
 
-from ...core.reading import as_integer, as_list, as_number, as_object, shown
+from ...core.files.reading import as_integer, as_list, as_number, as_object, shown
 
 _MOST_FRAMES, _MOST_SECONDS = 2**31, 1e9
 _MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES, _MOST_CHARACTERS = 16, 1000, 16, 1000

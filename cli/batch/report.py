@@ -13,8 +13,8 @@ from typing import Any
 import cv2
 
 from ...core.errors import SourceError
-from ...core.files import replacing
-from ...core.images import read_image
+from ...core.files.writing import replacing
+from ...core.media.images import read_image
 
 _SHEET_WIDTH, _QUALITY = 480, 75
 _CURVE_WIDTH, _CURVE_HEIGHT = 300, 48

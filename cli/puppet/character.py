@@ -22,11 +22,11 @@ from ...blender.heads.marks import Mark, mark_points, position_of
 from ...blender.meshes import driven_by_keys, read_landmarks
 from ...core.bake.key_map import ESSENTIAL
 from ...core.binding.bind import Binding
-from ...core.drive.key_sets import KeySet
 from ...core.errors import HeadError
+from ...core.face.landmarks import from_ibug
 from ...core.heads.parts import PART_NAMES
-from ...core.images import write_image
-from ...core.landmarks import from_ibug
+from ...core.keys.key_sets import KeySet
+from ...core.media.images import write_image
 from ...core.puppet.job import HeadFile
 from ...core.takes.take import Take
 from ..terminal.console import Progress, tell

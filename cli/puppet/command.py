@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ...core.capture import require_utf8_name
-from ...core.files import free_name, settle
+from ...core.files.writing import free_name, settle
+from ...core.media.capture import require_utf8_name
 from ...core.puppet.job import PuppetJob
 from ...core.takes.file import SUFFIX, save_take
 from ...core.takes.smooth import smooth_take
-from ...core.tracking.settings import TrackingSettings
+from ...core.tracking.tracking_settings import TrackingSettings
 from ..terminal.blender import importing_blender
 from ..terminal.options import (
     Commands,

@@ -20,9 +20,9 @@ from ...blender.heads.vrm import add_expressions
 from ...blender.media.rendering import quiet, set_rate
 from ...blender.meshes import can_be_driven
 from ...core.binding.bind import Binding
-from ...core.capture import check_readable, require_utf8_name
 from ...core.errors import FacemimeError, HeadError, SourceError
-from ...core.locks import temporary_folder
+from ...core.files.locks import temporary_folder
+from ...core.media.capture import check_readable, require_utf8_name
 from ...core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ...core.takes.file_rate import gltf_of
 from ..terminal.console import tell

@@ -23,17 +23,17 @@ from ...blender.media.rendering import render_frames, set_rate, without_subdivis
 from ...blender.media.saving import saved_by_blender
 from ...blender.meshes import write_selection
 from ...blender.timeline import frames_of
+from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ...core.bake.key_map import ESSENTIAL, load_map
-from ...core.bake.settings import AUTOMATIC, BakeSettings
-from ...core.capture import Frame, VideoSource, at_constant_rate, check_readable
 from ...core.control_points.greedy import GreedySelection
 from ...core.control_points.select import from_json
 from ...core.drive.motion import select_distinct_frames
 from ...core.errors import OutputError, SourceError
-from ...core.images import write_image
+from ...core.files.reading import read_text
+from ...core.media.capture import Frame, VideoSource, at_constant_rate, check_readable
+from ...core.media.images import write_image
 from ...core.puppet.job import PuppetJob
-from ...core.puppet.settings import PuppetSettings
-from ...core.reading import read_text
+from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
 from ...core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
 from ..terminal.console import Progress, tell

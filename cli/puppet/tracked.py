@@ -7,15 +7,15 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...core.capture import require_file
 from ...core.errors import FacemimeError, SourceError
-from ...core.files import free_name, settle
+from ...core.files.writing import free_name, settle
+from ...core.media.capture import require_file
 from ...core.takes.file import SUFFIX, load_take
 from ...core.takes.from_video import track_video
 from ...core.takes.take import Take
 from ...core.tracking.result import TrackResult
-from ...core.tracking.settings import DEFAULTS, TrackingSettings
 from ...core.tracking.tracker import FaceTracker
+from ...core.tracking.tracking_settings import DEFAULTS, TrackingSettings
 from ..terminal.console import Progress, tell
 from ..terminal.stopping import INTERRUPTED, STOPPING
 from ..terminal.takes import tell_what_is_missing

@@ -12,16 +12,16 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 from typing import IO, Any, TypeVar, get_type_hints
 
-from ...core.bake.settings import AUTOMATIC, BakeSettings
-from ...core.drive.settings import DriveSettings, PosingSettings
+from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
+from ...core.drive.drive_settings import DriveSettings, PosingSettings
 from ...core.errors import FacemimeError, SourceError
+from ...core.files.reading import shown
+from ...core.files.setting import Setting, changed, settings_of
+from ...core.puppet.built_in_presets import COMMAND_NAMES, built_in_path, read_preset
 from ...core.puppet.job import CHARACTER_SUFFIXES, HeadFile, PuppetJob
-from ...core.puppet.presets import COMMAND_NAMES, built_in_path, read_preset
-from ...core.puppet.settings import PuppetSettings
-from ...core.reading import shown
-from ...core.settings import Setting, changed, settings_of
+from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.tracking.choice import LEFTMOST, RIGHTMOST
-from ...core.tracking.settings import TrackingSettings
+from ...core.tracking.tracking_settings import TrackingSettings
 from .console import printable, say, write_error
 
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}

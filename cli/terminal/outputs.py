@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
-from ...core.files import check_distinct, check_writable, claimed
+from ...core.files.writing import check_distinct, check_writable, claimed
 
 Outputs = Sequence[tuple[Path | None, Collection[str]]]
 

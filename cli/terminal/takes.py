@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from ...core.capture import check_readable
+from ...core.media.capture import check_readable
 from ...core.takes.file import load_take
 from ...core.takes.take import Take
 from .console import tell

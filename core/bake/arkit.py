@@ -11,13 +11,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..actions import action_indices
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
-from ..drive.settings import DriveSettings, PosingSettings
+from ..drive.drive_settings import DriveSettings, PosingSettings
 from ..errors import SourceError
+from ..face.actions import action_indices
+from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
 from ..heads.built_in import load_head
 from ..heads.looks import LOOKS, looks_of
+from ..numeric.arrays import FloatArray
 from ..takes.neutral import Neutral
 from ..takes.take import Take
 from ..tracking.result import TrackResult

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
-from ..products import multiply
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
+from ..numeric.products import multiply
 
 _ROWS = 4
 """Number of frames processed at a time."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 
 
 def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:

@@ -1,4 +1,6 @@
-"""What the tracker shows of each ARKit coefficient, learnt by `training.coefficients` (docs/method.md, section 9.3)."""
+"""What the tracker shows of each ARKit coefficient, learnt by `lab.training.coefficients` (docs/method.md, section
+9.3).
+"""
 
 from __future__ import annotations
 
@@ -9,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ..actions import N_ACTIONS
-from ..archives import Archive, open_shipped
-from ..arrays import FloatArray
-from ..assets import ASSETS
-from ..coefficient_names import FITTED
-from ..landmarks import N_LANDMARKS
+from ..face.actions import N_ACTIONS
+from ..face.coefficient_names import FITTED
+from ..face.landmarks import N_LANDMARKS
+from ..files.archives import Archive, open_shipped
+from ..files.assets import ASSETS
+from ..numeric.arrays import FloatArray
 
 FORMAT = "facemime-coefficients-2"
 COEFFICIENT_FILE = ASSETS / "expressions" / "coefficients.npz"

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..actions import ACTION_MIRROR
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED
-from ..landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS
-from ..products import dot
+from ..face.actions import ACTION_MIRROR
+from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED
+from ..face.landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
+from ..numeric.products import dot
 from .coefficient_model import N_OBSERVED, CoefficientModel, Layer
 from .least_squares import bounded_least_squares, bounded_minimum
 

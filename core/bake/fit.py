@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..products import multiply
+from ..numeric.arrays import FloatArray
+from ..numeric.products import multiply
 from .least_squares import bounded_least_squares
 
 RIDGE = 1e-4

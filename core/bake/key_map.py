@@ -16,11 +16,11 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..assets import ASSETS
-from ..coefficient_names import EXCLUSIVE_NAMES
 from ..errors import SourceError
-from ..reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
+from ..face.coefficient_names import EXCLUSIVE_NAMES
+from ..files.assets import ASSETS
+from ..files.reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
+from ..numeric.arrays import FloatArray
 from .arkit import COEFFICIENTS
 from .key_names import names_of, normalised, without_node
 from .least_squares import bounded_least_squares

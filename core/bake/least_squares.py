@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 
 _TOLERANCE = 1e-10
 """Gradient at a bound, relative to the largest number of the system, below which a variable stays there."""

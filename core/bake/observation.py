@@ -6,18 +6,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..actions import ACTIONS
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENTS
 from ..drive.actions import ActionDriver
+from ..drive.drive_settings import DriveSettings
 from ..drive.eyes import EyeDriver, measured_eyes
 from ..drive.posing import limit_rotation
 from ..drive.retarget import retargeter_for
-from ..drive.settings import DriveSettings
+from ..face.actions import ACTIONS
+from ..face.coefficient_names import COEFFICIENTS
+from ..face.landmarks import outer_eye_distance
+from ..face.rotation import euler_to_matrix
 from ..heads.built_in import load_head
-from ..landmarks import outer_eye_distance
-from ..products import dot
-from ..rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
+from ..numeric.products import dot
 from ..takes.face_space import without_similarity
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result

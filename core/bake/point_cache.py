@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..files import replacing
+from ..files.writing import replacing
+from ..numeric.arrays import FloatArray
 
 SUFFIX = ".pc2"
 _HEADER = struct.Struct("<12siiffi")

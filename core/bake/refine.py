@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..coefficient_names import COEFFICIENTS
 from ..drive.driver import HeadDriver
+from ..face.coefficient_names import COEFFICIENTS
 from ..heads.rig import HeadRig
+from ..numeric import linalg
 from ..takes.neutral import calibrate
 from ..takes.take import Take
 from .arkit import arkit_coefficients

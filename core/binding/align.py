@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
 from ..errors import HeadError
-from ..rotation import fit_rotation
+from ..face.rotation import fit_rotation
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 from .template import Surface, Template
 
 _SCALES = (0.8, 1.0, 1.25)

@@ -14,10 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
-from ..heads.checks import Finding
-from ..landmarks import (
+from ..face.landmarks import (
     EYE_LEFT,
     EYE_RIGHT,
     LOWER_LIP,
@@ -28,8 +26,10 @@ from ..landmarks import (
     UPPER_LIP,
     from_ibug,
 )
+from ..heads.checks import Finding
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph, lips_joined
+from ..numeric.arrays import FloatArray, IntArray, as_points
 from .fit import NOT_FOUND, fit_template
 from .rest import resting_findings
 from .sight import Sight

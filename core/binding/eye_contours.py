@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
 from ..mesh.raster import rasterise
 from ..mesh.surface import triangulate
+from ..numeric.arrays import FloatArray, IntArray
 
 _SIDE = 240
 """Side of the rendering of an eye in pixels."""

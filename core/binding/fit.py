@@ -8,11 +8,11 @@ from itertools import islice
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
+from ..face.landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
 from ..mesh.surface import surface_normals
 from ..mesh.warp import Warp
+from ..numeric.arrays import FloatArray, IntArray
 from .align import Pose, follow, pose_from_shape, rough_poses, similarity
 from .sight import Sight, look
 from .template import Surface, Template

@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
 from ..heads.proposal import propose_regions
 from ..heads.rig import HeadRig, jaw_pivot_of
+from ..numeric.arrays import FloatArray, IntArray, as_points
 from .bind import bind_landmarks
 
 

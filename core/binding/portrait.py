@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
 from ..mesh.raster import rasterise
 from ..mesh.surface import surface_normals, triangulate
+from ..numeric.arrays import FloatArray, IntArray
 
 SIZE = 256
 """Side of a portrait in pixels."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..apertures import eye_apertures, mouth_aperture
-from ..arrays import FloatArray
+from ..face.apertures import eye_apertures, mouth_aperture
+from ..face.landmarks import MOUTH_CORNERS, from_ibug
 from ..heads.checks import Finding
-from ..landmarks import MOUTH_CORNERS, from_ibug
+from ..numeric.arrays import FloatArray
 
 _SHUT = 0.045
 """Aperture below which eyes count as shut: at most 0.03 to 0.04 on heads with shut eyes, 0.08 and more on others. All

@@ -8,9 +8,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import EYE_LEFT, EYE_RIGHT, INNER, MIRROR
-from ..rotation import euler_to_matrix
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, INNER, MIRROR
+from ..face.rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray, IntArray
 from ..tracking.cascade_detector import Effort, Step
 from ..tracking.model_file import load_model
 from ..tracking.pdm import FittedShape, PointDistributionModel

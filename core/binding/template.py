@@ -7,11 +7,11 @@ from functools import cache, cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, outer_eye_distance
 from ..heads.built_in import load_head
-from ..landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, outer_eye_distance
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import surface_normals
+from ..numeric.arrays import FloatArray, IntArray
 from .sight import look
 
 _EXCLUDED = (

@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import INNER, N_LANDMARKS
-from ..rotation import euler_to_matrix
+from ..face.landmarks import INNER, N_LANDMARKS
+from ..face.rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray, IntArray
 from .sight import Sight, look
 from .template import Surface
 

@@ -9,11 +9,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
 from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
 from ..heads.regions import REGIONS
 from ..mesh.kernels import Kernel, distances
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 
 _VERTICES = 4_000
 """Largest number of vertices that are evaluated; of more, evenly spaced ones are used."""

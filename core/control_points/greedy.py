@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray, as_points
 from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
 from ..errors import HeadError
+from ..face.landmarks import N_LANDMARKS, from_ibug
 from ..heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
-from ..landmarks import N_LANDMARKS, from_ibug
 from ..mesh.kernels import distances, get_kernel
+from ..numeric.arrays import FloatArray, IntArray, as_points
 from .difference import SkinDifference
-from .settings import Search, SelectionSettings
+from .selection_settings import Search, SelectionSettings
 
 _FACE_SIDES = from_ibug((0, 16))
 _EXCHANGE_CANDIDATES = 8

@@ -11,19 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
 from ..deform.head_deformer import INFORMED
 from ..drive.retarget import retargeter_for
 from ..errors import HeadError, SourceError
+from ..face.landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
+from ..files.reading import as_integer, as_list, as_number, as_object, as_text, parse_format, shown
 from ..heads.regions import REGIONS
 from ..heads.rig import HeadRig
-from ..landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
-from ..reading import as_integer, as_list, as_number, as_object, as_text, parse_format, shown
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from .greedy import GreedySelection, GreedyStep, greedy_select
-from .settings import Search, SelectionSettings
+from .selection_settings import Search, SelectionSettings
 
 _LEFT_OUT = frozenset(range(68)) - frozenset(IBUG68_INDICES.tolist())
 _LAST = int(IBUG68_INDICES[-1])

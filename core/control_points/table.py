@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HeadError
+from ..face.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..heads.regions import REGIONS, membership
-from ..landmarks import IBUG68_INDICES, N_LANDMARKS
 from .greedy import GreedySelection, GreedyStep
 
 BY_HAND = "added by hand"

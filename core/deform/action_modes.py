@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import ACTIONS
-from ..arrays import FloatArray
+from ..face.actions import ACTIONS
+from ..face.landmarks import outer_eye_distance
 from ..heads.built_in import load_head
 from ..heads.rig import HeadRig
-from ..landmarks import outer_eye_distance
+from ..numeric.arrays import FloatArray
 from .expressions import transferred
 from .rbf import RBFDeformer
 

@@ -18,10 +18,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..onnx import Node, encode_network
-from ..opencv import read_network
-from ..products import multiply
+from ..numeric import linalg
+from ..numeric.onnx import Node, encode_network
+from ..numeric.opencv import read_network
+from ..numeric.products import multiply
 
 TOLERANCE = 5e-4
 """Error allowed at a vertex, relative to the root of the sum of the squared displacements of all control points."""

@@ -16,16 +16,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..archives import open_shipped
-from ..arrays import FloatArray, IntArray
-from ..assets import ASSETS
+from ..face.landmarks import N_LANDMARKS, outer_eye_distance
+from ..files.archives import open_shipped
+from ..files.assets import ASSETS
 from ..heads.built_in import load_head
-from ..landmarks import N_LANDMARKS, outer_eye_distance
 from ..mesh.kernels import distances
 from ..mesh.nearest import NearestPoints
 from ..mesh.warp import Warp
-from ..products import multiply
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
+from ..numeric.products import multiply
 from .skin import SkinCovariance, skin_covariance
 
 FORMAT = "facemime-expressions-1"
@@ -226,7 +226,7 @@ def learnt_covariance(
 
 @lru_cache(maxsize=1)
 def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
-    """Read a model written by `training.expressions`.
+    """Read a model written by `lab.training.expressions`.
 
     Raises
     ------

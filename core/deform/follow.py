@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
 from ..errors import HeadError
 from ..heads.regions import REGIONS, membership
 from ..mesh.kernels import Kernel, distances
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 
 REGULARISATION = 1e-3
 _RIDGE = 0.2

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray, IntArray
 from ..mesh.nearest import NearestPoints
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
 
 _NEIGHBOURS = 10
 _BREADTH = 0.02

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 from .blocks import RegionMatrix
 
 _NEAR = 0.15

@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import linalg
-from ..arrays import FloatArray, as_points
 from ..errors import HeadError
 from ..mesh.kernels import Kernel, distances, get_kernel
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, as_points
 from .blocks import BlockProduct, RegionMatrix, RowBuilder
 from .follow import REGULARISATION
 from .lid_rims import LidRims

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError
-from ..landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
 from ..mesh.kernels import distances
 from ..mesh.sparse import NestedDissection
+from ..numeric.arrays import FloatArray, IntArray, as_points
 
 REACH = 0.25
 """Reach of the process in outer-eye distances: the distance along the skin at which the covariance falls to 0.6."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..actions import ACTIONS, N_ACTIONS, action_indices
-from ..arrays import FloatArray
-from ..landmarks import from_ibug
+from ..face.actions import ACTIONS, N_ACTIONS, action_indices
+from ..face.landmarks import from_ibug
+from ..numeric.arrays import FloatArray
 
 TONGUE = ACTIONS.index("tongueOut")
 _BROWS = {

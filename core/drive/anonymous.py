@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..apertures import mouth_aperture
+from ..face.apertures import mouth_aperture
 from ..takes.neutral import calibrate
 from ..takes.take import Take
 from ..takes.timing import mark_lost, project

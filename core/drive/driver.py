@@ -7,26 +7,26 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import N_ACTIONS
-from ..arrays import FloatArray
 from ..deform.action_modes import action_modes
 from ..deform.head_deformer import INFORMED, head_deformer
 from ..deform.rbf import IncrementalDeformer, RBFDeformer
+from ..face.actions import N_ACTIONS
+from ..face.landmarks import outer_eye_distance
+from ..face.rotation import euler_to_matrix
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
-from ..landmarks import outer_eye_distance
-from ..rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from .actions import TONGUE, ActionDriver
+from .drive_settings import DriveSettings
 from .eyes import EyeDriver
 from .jaw import Jaw
 from .parts import PartDriver
 from .posing import limit_rotation, limit_vector
 from .retarget import retargeter_for
-from .settings import DriveSettings
 
 _BY_DEFAULT = DriveSettings()
 

@@ -7,8 +7,8 @@ from math import nan
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..face.rotation import euler_to_matrix, matrix_to_euler
+from ..numeric.arrays import FloatArray
 
 _PARALLEL, _CROSSED, _LASTING = *np.radians((8.0, 40.0)), 5
 """Vergence relative to rest, in radians, up to which eyes count as parallel; its limit; and the number of frames for

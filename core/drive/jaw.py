@@ -6,9 +6,9 @@ from math import pi
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..landmarks import CHIN, LOWER_LIPS, outer_eye_distance
-from ..rotation import fit_rotation
+from ..face.landmarks import CHIN, LOWER_LIPS, outer_eye_distance
+from ..face.rotation import fit_rotation
+from ..numeric.arrays import FloatArray
 from .posing import limit_rotation
 
 _CHIN_ERROR, _CHIN_ERROR_SHARE = 0.01, 0.3

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
 from ..deform.glue import Glue
 from ..deform.lid_rims import lid_rims
 from ..heads.eyeballs import part_eyeball
@@ -14,6 +13,7 @@ from ..heads.rig import HeadRig
 from ..mesh.nearest import NearestPoints
 from ..mesh.pieces import islands
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 
 _ON_SKIN = 0.03
 """Distance from the skin, in outer-eye distances, below which a vertex rides on the skin directly beneath it. Others,

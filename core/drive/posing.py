@@ -7,7 +7,7 @@ from math import pi
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 
 
 def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:

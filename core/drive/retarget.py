@@ -5,11 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from ..apertures import eye_apertures, lid_gaps
-from ..arrays import FloatArray, IntArray, as_points
 from ..errors import HeadError, SourceError
-from ..heads.regions import LOWER, REGIONS, membership, rms_extent
-from ..landmarks import (
+from ..face.apertures import eye_apertures, lid_gaps
+from ..face.landmarks import (
     EYE_CORNERS,
     LIPS,
     LOWER_LIDS,
@@ -19,8 +17,10 @@ from ..landmarks import (
     UPPER_LIDS,
     UPPER_LIPS,
 )
+from ..heads.regions import LOWER, REGIONS, membership, rms_extent
+from ..numeric.arrays import FloatArray, IntArray, as_points
 from ..takes.neutral import Neutral
-from .settings import Mode
+from .drive_settings import Mode
 
 _MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks that must not cross."""
@@ -29,8 +29,8 @@ _LIP_GAIN, _CORNER_GAIN = (1.4, 1.3), 1.1
 as its experts are uncertain about lips and its shape model draws them towards the mean: in nine clips of eight people,
 the median ratio to MediaPipe's landmarks is 0.73 for openings of the mouth and 0.68 for changes of its width."""
 _WIDENING_GAIN = 1.8
-"""Gain of lids that open wider than at rest, for the same reason: in the five clips of `bench.expressions`, the median
-ratio to MediaPipe's landmarks is 0.50."""
+"""Gain of lids that open wider than at rest, for the same reason: in the five clips of `lab.bench.expressions`, the
+median ratio to MediaPipe's landmarks is 0.50."""
 _MIN_EYE_OPENING = 0.15
 """Smallest opening of an eye that is used, as a share of its width: squinting in the neutral face would otherwise
 amplify lids without bound."""

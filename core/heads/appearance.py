@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..assets import ASSETS
 from ..errors import ModelError
-from ..reading import read_bytes
+from ..files.assets import ASSETS
+from ..files.reading import read_bytes
+from ..numeric.arrays import FloatArray, IntArray
 from .built_in import HeadPart, load_head
 
 _MAX_IMAGE = 32_000_000

@@ -1,6 +1,6 @@
 """The built-in heads: 1,781 vertices with landmarks, regions, the 52 ARKit face units, and their parts.
 
-They are stored in `assets/head`, built by `training/head` from CC0 data, and share their faces and landmarks. The
+They are stored in `assets/head`, built by `lab/training/head` from CC0 data, and share their faces and landmarks. The
 arrays in a file are the fields of `Head` and `HeadPart`, with displacements as float16; those of a part are prefixed
 with its name and a dot. "The built-in head" without further qualification is the man's, the reference for everything
 that needs a known head.
@@ -15,11 +15,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..archives import MAX_BYTES, Archive, read_archive
-from ..assets import ASSETS
 from ..errors import ModelError
-from ..landmarks import N_LANDMARKS
-from ..reading import read_bytes
+from ..face.landmarks import N_LANDMARKS
+from ..files.archives import MAX_BYTES, Archive, read_archive
+from ..files.assets import ASSETS
+from ..files.reading import read_bytes
 from .regions import REGIONS
 
 REGION_NAMES = tuple(region.name for region in REGIONS)
@@ -128,7 +128,7 @@ def _read(path: Path) -> Head:
     except ValueError as error:
         raise ModelError(f"The head {path} is damaged ({error}). Reinstall Facemime.") from error
     if archive.text("format") != FORMAT:
-        raise ModelError(f"{path} is not a Facemime head of this version. Use a file built by training/head.")
+        raise ModelError(f"{path} is not a Facemime head of this version. Use a file built by lab/training/head.")
     try:
         head = _head(archive)
     except ValueError as error:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import BROWS, IBUG68_INDICES
+from ..face.landmarks import BROWS, IBUG68_INDICES
 from ..mesh.surface import SurfaceGraph, lips_joined
+from ..numeric.arrays import FloatArray, IntArray
 from .eye_outline import EYES, eye_outline
 from .lids import eyes_joined
 from .regions import REGIONS, membership, own_weights

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import linalg
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import EYE_LEFT, EYE_RIGHT
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
 
 EYES = EYE_RIGHT, EYE_LEFT[[3, 2, 1, 0, 5, 4]]
 """Landmarks of the right and left eye: outer corner, upper lid, inner corner, lower lid. The two are mirror images."""

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 
 LID_THICKNESS = 0.03
 """Gap between an eye that was cut out of the skin and the sphere of its lids, as a share of the radius."""

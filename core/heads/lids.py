@@ -13,10 +13,10 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
 from ..mesh.surface import JOINED, SurfaceGraph
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
 from .eye_outline import EYES, EyeOutline, eye_outline
 from .eyeballs import LID_THICKNESS
 from .lips import nearest_at_shares

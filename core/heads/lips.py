@@ -8,10 +8,10 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import MOUTH_CORNERS, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
+from ..face.landmarks import MOUTH_CORNERS, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 
 _BETWEEN = (0.25, 0.5, 0.75)
 """Positions of the inner landmarks of each lip, as shares of the line's length."""

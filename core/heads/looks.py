@@ -8,9 +8,9 @@ from math import atan2, cos, tan
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX
-from ..rotation import fit_rotation
+from ..face.coefficient_names import COEFFICIENT_INDEX
+from ..face.rotation import fit_rotation
+from ..numeric.arrays import FloatArray
 from .built_in import load_head
 
 _DIRECTIONS = ("In", "Out", "Up", "Down")

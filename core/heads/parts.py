@@ -8,10 +8,10 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
 from ..mesh.pieces import border_twins
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 
 _SLIT_REACH = 0.15
 """Distance, in outer-eye distances, from the landmarks of an eye or the mouth within which a closed border is its

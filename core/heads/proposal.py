@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import (
+from ..face.landmarks import (
     BROWS,
     EYE_CORNERS,
     EYE_LEFT,
@@ -30,6 +29,7 @@ from ..landmarks import (
     outer_eye_distance,
 )
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 from .regions import hold_landmarks
 
 _UPPER_LIDS = EYE_RIGHT[:4], EYE_LEFT[:4]

@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import BROWS, EYE_RIGHT, JAW, MIRROR, outer_eye_distance
+from ..face.landmarks import BROWS, EYE_RIGHT, JAW, MIRROR, outer_eye_distance
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 
 Side = Literal["left", "right"]
 """The head's own left or right."""

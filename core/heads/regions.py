@@ -11,9 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray, IntArray
-from ..landmarks import (
+from ..face.landmarks import (
     BROWS,
     EYE_CORNERS,
     JAW,
@@ -30,6 +28,8 @@ from ..landmarks import (
     outer_eye_distance,
 )
 from ..mesh.kernels import Kernel, distances, wendland
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
 
 UPPER, MIDDLE, LOWER = 0, 1, 2
 
@@ -49,8 +49,8 @@ class Region:
         Landmarks (positions in the 66) that control it.
     spacing_factor : float
         Factor of the kernel's width, see `Kernel.width`. Chosen for the smallest vertex error on two heads with known
-        expressions (`bench/deformation.py`). The factor of the upper region is small, as lids move close below resting
-        brows.
+        expressions (`lab/bench/deformation.py`). The factor of the upper region is small, as lids move close below
+        resting brows.
     """
 
     name: str

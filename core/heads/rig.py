@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import JAW, N_LANDMARKS, outer_eye_distance
-from ..rotation import fit_rotation
+from ..face.landmarks import JAW, N_LANDMARKS, outer_eye_distance
+from ..face.rotation import fit_rotation
+from ..numeric.arrays import FloatArray, IntArray
 from .built_in import Head, load_head
 from .parts import FaceParts, Part, Skin, skin_of
 

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
 from ..mesh.intersections import crossing_pairs
 from ..mesh.nearest import NearestPoints
 from ..mesh.surface import surface_normals, triangulate
+from ..numeric.arrays import FloatArray, IntArray
 
 _LID_ATTEMPTS, _LIP_ATTEMPTS = ((1, 0.04), (1, 0.02)), ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
 """Attempts that are made until nothing crosses: how many of the nearest vertices across the slit a vertex must not

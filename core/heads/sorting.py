@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import (
+from ..face.landmarks import (
     BROWS,
     EYE_LEFT,
     EYE_RIGHT,
@@ -19,6 +18,7 @@ from ..landmarks import (
     outer_eye_distance,
 )
 from ..mesh.surface import SurfaceGraph
+from ..numeric.arrays import FloatArray, IntArray
 from .part_names import named_part, names_inside, names_upper
 from .parts import Part
 

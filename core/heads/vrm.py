@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from ..reading import as_integer, as_list, as_number, as_object, as_text
+from ..files.reading import as_integer, as_list, as_number, as_object, as_text
 
 _MAX = 10_000
 """Largest number of expressions, and of binds of one."""

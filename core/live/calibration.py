@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..errors import SourceError
+from ..numeric.arrays import FloatArray
 from ..takes.face_space import load_face_space
 from ..takes.neutral import Neutral, calibrate, shut_level, trust
 from ..takes.take import TakeRecorder
@@ -26,7 +26,8 @@ _MAX_YAW = np.radians(20.0)
 """Yaw in radians above which the head was turned."""
 _MAX_EXPRESSION = 0.35
 """Amount of expression, in eye distances, above which the performer did not rest. On the labelled neutral faces of
-`bench.expressions` it is below 0.1, and up to 0.9 elsewhere; brows are left out, as their height at rest differs."""
+`lab.bench.expressions` it is below 0.1, and up to 0.9 elsewhere; brows are left out, as their height at rest
+differs."""
 _HARDLY_SEEN = "Your face was hardly visible. Look at the camera, with light from the front, and try again."
 
 

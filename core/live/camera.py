@@ -20,8 +20,8 @@ from typing import IO
 import cv2
 import numpy as np
 
-from ..capture import is_address
 from ..errors import SourceError
+from ..media.capture import is_address
 from .camera_process import FAILED, HEADER
 from .sources import LiveFrame, LiveSource
 

@@ -6,8 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver, HeadFrame
-from ..drive.settings import DriveSettings
 from ..heads.rig import HeadRig
 from ..takes.between import at_rest
 from ..takes.neutral import Neutral

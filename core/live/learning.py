@@ -13,9 +13,9 @@ from math import exp, inf, nan
 
 import numpy as np
 
-from ..apertures import eye_apertures
-from ..arrays import FloatArray
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..face.apertures import eye_apertures
+from ..face.rotation import euler_to_matrix, matrix_to_euler
+from ..numeric.arrays import FloatArray
 from ..takes.face_space import load_face_space
 from ..takes.neutral import MAX_SHUT, Neutral, rest_of, trust
 from ..takes.take import TakeRecorder

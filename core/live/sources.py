@@ -17,9 +17,9 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ..capture import VideoSource
 from ..errors import SourceError
-from ..images import IMAGE_SUFFIXES, read_image
+from ..media.capture import VideoSource
+from ..media.images import IMAGE_SUFFIXES, read_image
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from ..tracking.result import TrackResult

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 
 STAGES = ("wait", "track", "drive", "hand over", "write")
 """Stages of a frame: the wait for the worker, tracking, computing the vertices, the wait for Blender's main thread,

@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 
 from ..drive.driver import HeadFrame
 from ..errors import FacemimeError, OutputError
-from ..puppet.settings import PuppetSettings
+from ..puppet.puppet_settings import PuppetSettings
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
 from ..tracking.result import TrackResult
-from ..tracking.settings import DEFAULTS, TrackingSettings
 from ..tracking.tracker import FaceTracker
+from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
 from .calibration import Quality
 from .head_drivers import HeadDrivers, LiveHead
 from .outputs import Display, Output, Recorder

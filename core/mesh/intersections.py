@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
+from ..numeric.arrays import FloatArray, IntArray
 
 _CHUNK = 200_000
 """Pairs of triangles that are tested at a time, which limits memory."""

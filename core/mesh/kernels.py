@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
 from ..errors import HeadError
+from ..numeric.arrays import FloatArray
 
 _WIDE, _NARROW_SHARE = 3.0, 0.46
 """Sigma of the wide Gaussian over that of the narrow one, and share of the narrow one. Like the spacings in `KERNELS`,

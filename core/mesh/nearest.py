@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 
 _SINGLE_TREE = 4
 """FLANN's number for the k-d tree for few dimensions, the only index with an exact search."""

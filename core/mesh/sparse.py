@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from .. import linalg
-from ..arrays import FloatArray, IntArray
-from ..products import multiply
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
+from ..numeric.products import multiply
 
 _LEAF = 64
 """Number of unknowns up to which a part is not divided further, as dense elimination is then faster."""

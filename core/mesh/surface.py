@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
+from ..face.landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
+from ..numeric.arrays import FloatArray, IntArray
 
 JOINED = 1.7
 """Lips or lids count as joined if the path from one to the other is shorter than this multiple of the straight

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from .. import linalg
-from ..arrays import FloatArray, as_points
 from ..errors import HeadError
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, as_points
 from .kernels import distances
 
 _CHUNK = 4_000

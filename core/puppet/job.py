@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..takes.file import SUFFIX
-from .settings import PuppetSettings
+from .puppet_settings import PuppetSettings
 
 CHARACTER_SUFFIXES = (
     *(".blend", ".glb", ".gltf", ".vrm", ".fbx", ".obj", ".abc"),

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver
-from ..drive.settings import DriveSettings
 from ..heads.rig import HeadRig
 from ..takes.neutral import Neutral, calibrate
 from ..takes.smooth import smooth_take
 from ..takes.take import Take
-from .settings import PuppetSettings
+from .puppet_settings import PuppetSettings
 
 
 @dataclass(frozen=True)

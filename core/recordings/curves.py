@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
 from ..bake.key_map import best_preset
-from ..coefficient_names import N_COEFFICIENTS
+from ..face.coefficient_names import N_COEFFICIENTS
+from ..numeric.arrays import FloatArray
 from ..takes.coefficient_take import coefficient_take
 from ..takes.take import Take
 

@@ -14,11 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from ..face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from ..face.rotation import euler_to_matrix, from_face_axes, matrix_to_euler
+from ..files.reading import as_list, as_number, as_object, as_text, parse_json, read_text
 from ..heads.looks import LOOKS, looks_of
-from ..reading import as_list, as_number, as_object, as_text, parse_json, read_text
-from ..rotation import euler_to_matrix, from_face_axes, matrix_to_euler
+from ..numeric.arrays import FloatArray
 from ..takes.table_text import TextTable, is_number
 from .curves import CoefficientTrack, coefficients_of_keys
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from ..capture import check_readable
 from ..errors import SourceError
+from ..media.capture import check_readable
 from ..takes.coefficient_table import from_any_csv
 from ..takes.table_angles import AUTOMATIC
 from ..takes.table_text import SUFFIXES as TABLES

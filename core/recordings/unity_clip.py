@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..reading import read_text
+from ..files.reading import read_text
+from ..numeric.arrays import FloatArray
 from .curves import CoefficientTrack, coefficients_of_keys
 
 _RATE, _FASTEST = 60.0, 1000.0

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from .addresses import is_loopback
 from .casting import Address
-from .face_motion import MAGIC
-from .frames import PacketError
-from .sessions import OwnReceiver, Refusal, RefusedError
-from .settings import PROTOCOLS, StreamSettings
+from .protocols.face_motion import MAGIC
+from .protocols.frames import PacketError
+from .stream_settings import PROTOCOLS, StreamSettings
+from .transport.addresses import is_loopback
+from .transport.sessions import OwnReceiver, Refusal, RefusedError
 
 _LOOKS = 0.5
 """Seconds between two attempts to recognise a packet by trying all decoders."""

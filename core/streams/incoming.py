@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENTS, N_COEFFICIENTS
+from ..face.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
+from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
-from .frames import FaceValues
+from .protocols.frames import FaceValues
 
 _COLUMNS, _WIDTH = 3, 26
 """Columns of the table, and characters in each, which fit into 80 in all."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from .addresses import resolve
 from .casting import Address
-from .face_motion import MAGIC, FaceMotionReceiver
 from .links import Link
-from .settings import PROTOCOLS, StreamSettings
+from .protocols.face_motion import MAGIC, FaceMotionReceiver
+from .stream_settings import PROTOCOLS, StreamSettings
+from .transport.addresses import resolve
 
 _ASK_AGAIN = 2.0
 """Seconds after which a phone is asked again."""

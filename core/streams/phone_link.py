@@ -9,11 +9,11 @@ import socket
 from contextlib import suppress
 
 from ..errors import SourceError
-from .addresses import resolve
 from .casting import Address
-from .face_motion import HEADER, MAGIC, MAX_MESSAGE, length_of
-from .frames import MAX_DATAGRAM
 from .links import PORTION, Connection, ConnectionsLink, call, has_answered
+from .protocols.face_motion import HEADER, MAGIC, MAX_MESSAGE, length_of
+from .protocols.frames import MAX_DATAGRAM
+from .transport.addresses import resolve
 
 _SILENT = 8.0
 """Seconds without a message after which a call is ended, as a phone answers each `PING`."""

@@ -8,24 +8,25 @@ from time import perf_counter
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..bake.arkit import FrameCoefficients
-from ..drive.settings import DriveSettings
+from ..drive.drive_settings import DriveSettings
 from ..errors import SourceError
+from ..face.rotation import euler_to_matrix, matrix_to_euler
 from ..heads.looks import eyes_of_gaze
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..numeric.arrays import FloatArray
 from ..takes.from_animation import IMAGE_SIZE
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
-from . import datagram, live_link, openseeface, vmc
-from .addresses import cannot_send, nobody_receives, resolve
 from .casting import Address
-from .frames import MAX_DATAGRAM, FaceValues, PacketError
-from .security import read_key
-from .sessions import OwnSender
-from .settings import EXPRESSIONS, OWN, SendSettings
+from .protocols import live_link, openseeface, vmc
+from .protocols.frames import MAX_DATAGRAM, FaceValues, PacketError
+from .stream_settings import EXPRESSIONS, OWN, SendSettings
+from .transport import datagram
+from .transport.addresses import cannot_send, nobody_receives, resolve
+from .transport.security import read_key
+from .transport.sessions import OwnSender
 
 SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
 """Protocols that can be sent, and their labels."""

@@ -11,23 +11,23 @@ from time import perf_counter
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_MIRROR
+from ..face.coefficient_names import COEFFICIENT_MIRROR
 from ..live.sources import LiveFrame, LiveSource
+from ..numeric.arrays import FloatArray
 from ..takes.from_coefficients import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
 from .diagnosis import Diagnosis
-from .frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
 from .incoming import Incoming, incoming
 from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone
 from .phone_link import PhoneLink
 from .playout import Playout, Shown
-from .sessions import OwnReceiver, Refusal, RefusedError
-from .settings import AXES, OWN, PROTOCOLS, StreamSettings
+from .protocols.frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
+from .stream_settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
+from .transport.sessions import OwnReceiver, Refusal, RefusedError
 
 _MAX_SENDERS = 16
 """Largest number of senders, and of faces of each."""

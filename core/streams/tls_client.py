@@ -10,10 +10,10 @@ import ssl
 from contextlib import suppress
 
 from ..errors import SourceError
-from .addresses import resolve
 from .casting import Address
 from .links import call, has_answered
-from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
+from .transport.addresses import resolve
+from .transport.pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
 
 _AGAIN = 1.0
 """Seconds from a failed attempt to the next one."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .. import linalg
-from ..arrays import FloatArray, IntArray
 from ..errors import HeadError
-from ..landmarks import N_LANDMARKS
+from ..face.landmarks import N_LANDMARKS
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
 from ..takes.from_animation import FacePoints, PointTracker
 from ..takes.neutral import Neutral
-from .frames import MAX_SUBJECT, PacketError, StreamFrame, finite
+from .protocols.frames import MAX_SUBJECT, PacketError, StreamFrame, finite
 from .vertices import FACE, FACE_HEADER, FRAME, FRAME_HEADER, MAX_NAME, MESH, MESH_HEADER, TO_RECEIVER, VERSION
 
 _MAX_HEADS = 16

@@ -13,14 +13,14 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
 from ..heads.rig import HeadRig
 from ..live.key_driver import KeyDriver
-from .addresses import cannot_send, resolve
-from .background import Connecting
+from ..numeric.arrays import FloatArray
 from .links import LENGTH
+from .transport.addresses import cannot_send, resolve
+from .transport.background import Connecting
 
 PORT = 21575
 VERTICES = "vertices"

@@ -16,18 +16,18 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
-from ..coefficient_names import COEFFICIENT_INDEX
-from ..drive.settings import DriveSettings
+from ..drive.drive_settings import DriveSettings
 from ..errors import SourceError
-from ..files import write_secret
-from ..reading import read_bytes
-from ..rotation import to_face_axes
+from ..face.coefficient_names import COEFFICIENT_INDEX
+from ..face.rotation import to_face_axes
+from ..files.reading import read_bytes
+from ..files.writing import write_secret
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
-from .addresses import LOOPBACK, bracketed, resolve
-from .background import Connecting
-from .frames import FaceValues
+from .protocols.frames import FaceValues
 from .sender import FaceMeasure
+from .transport.addresses import LOOPBACK, bracketed, resolve
+from .transport.background import Connecting
 
 PORT = 8001
 PLUGIN, DEVELOPER = "Facemime", "Facemime"

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..coefficient_names import N_COEFFICIENTS
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..face.coefficient_names import N_COEFFICIENTS
+from ..face.rotation import euler_to_matrix, matrix_to_euler
+from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .neutral import Neutral
 

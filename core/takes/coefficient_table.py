@@ -14,12 +14,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..capture import check_readable
-from ..coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
 from ..errors import SourceError
-from ..files import replacing
-from ..reading import shown
+from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..files.reading import shown
+from ..files.writing import replacing
+from ..media.capture import check_readable
+from ..numeric.arrays import FloatArray
 from .coefficient_take import coefficient_take
 from .live_link_angles import EYES, HEAD, eye_angles, head_angles
 from .spreadsheet import from_csv

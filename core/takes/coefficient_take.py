@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .from_animation import IMAGE_SIZE
 from .from_coefficients import coefficient_face

@@ -9,12 +9,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..archives import open_shipped
-from ..arrays import FloatArray
-from ..assets import ASSETS
-from ..landmarks import BROWS, JAW, N_LANDMARKS
-from ..products import dot
+from ..face.landmarks import BROWS, JAW, N_LANDMARKS
+from ..files.archives import open_shipped
+from ..files.assets import ASSETS
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
+from ..numeric.products import dot
 
 FORMAT = "facemime-face-space-1"
 FACE_SPACE_FILE = ASSETS / "expressions" / "face_space.npz"

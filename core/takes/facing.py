@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..rotation import euler_to_matrix, matrix_to_euler
+from ..face.rotation import euler_to_matrix, matrix_to_euler
+from ..numeric.arrays import FloatArray
 from .take import Take
 
 _FIXATION, _ASKEW, _SHIFTS, _MAX_GAZES = 0.07, 0.18, 20, 1000

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ..capture import check_readable
-from ..closing import Closing
 from ..errors import OutputError, SourceError
-from ..files import replacing
-from ..reading import read_bytes
+from ..files.closing import Closing
+from ..files.reading import read_bytes
+from ..files.writing import replacing
+from ..media.capture import check_readable
 from ..tracking.result import TrackResult
 from .format import (
     END,

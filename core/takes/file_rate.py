@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..reading import as_integer, as_list, as_object, parse_json, read_bytes
+from ..files.reading import as_integer, as_list, as_object, parse_json, read_bytes
+from ..numeric.arrays import FloatArray
 
 MAX_GLTF = 1 << 30
 """Largest size of a glTF file in bytes."""

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import N_ACTIONS
-from ..arrays import FloatArray
-from ..coefficient_names import N_COEFFICIENTS
-from ..landmarks import N_LANDMARKS
-from ..reading import parse_json
+from ..face.actions import N_ACTIONS
+from ..face.coefficient_names import N_COEFFICIENTS
+from ..face.landmarks import N_LANDMARKS
+from ..files.reading import parse_json
+from ..numeric.arrays import FloatArray
 from .take import Take
 
 FORMAT_VERSION = 3

@@ -6,10 +6,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..arrays import FloatArray
 from ..errors import HeadError
-from ..landmarks import outer_eye_distance
-from ..rotation import fit_rotation, matrix_to_euler
+from ..face.landmarks import outer_eye_distance
+from ..face.rotation import fit_rotation, matrix_to_euler
+from ..numeric.arrays import FloatArray
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from .neutral import Neutral, shut_level
 from .take import Take, TakeRecorder, describe

@@ -10,12 +10,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..coefficient_names import FITTED, N_COEFFICIENTS
+from ..face.coefficient_names import FITTED, N_COEFFICIENTS
+from ..face.landmarks import outer_eye_distance
+from ..face.rotation import euler_to_matrix
 from ..heads.built_in import load_head
 from ..heads.looks import LOOKS, gaze_of, gaze_of_eyes
-from ..landmarks import outer_eye_distance
-from ..rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .from_animation import REST_POSITION, pose_of
 from .neutral import Neutral

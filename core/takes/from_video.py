@@ -7,8 +7,8 @@ from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 
-from ..capture import VideoSource
-from ..media_starts import last_image
+from ..media.capture import VideoSource
+from ..media.media_starts import last_image
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter

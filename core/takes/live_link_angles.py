@@ -10,8 +10,8 @@ from math import asin, atan2, cos, sin
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..rotation import from_face_axes, to_face_axes
+from ..face.rotation import from_face_axes, to_face_axes
+from ..numeric.arrays import FloatArray
 
 HEAD = ("HeadYaw", "HeadPitch", "HeadRoll")
 EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw", "Pitch", "Roll"))

@@ -8,13 +8,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
 from ..errors import SourceError
-from ..rotation import euler_to_matrix
+from ..face.rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
 from ..tracking.mirror import mirror_result
 from ..tracking.tracker import FaceTracker
+from .mending_settings import Mending
 from .neutral import Neutral, calibrate
-from .settings import Mending
 from .smooth import smooth_take, smooth_zero_phase
 from .take import FIELDS, Take, TakeRecorder
 from .timing import mark_lost, mix

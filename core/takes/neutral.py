@@ -8,15 +8,15 @@ from typing import Any
 
 import numpy as np
 
-from .. import linalg
-from ..actions import ACTION_MIRROR, N_ACTIONS
-from ..apertures import eye_apertures, mouth_aperture
-from ..arrays import FloatArray, IntArray
 from ..errors import SourceError
+from ..face.actions import ACTION_MIRROR, N_ACTIONS
+from ..face.apertures import eye_apertures, mouth_aperture
+from ..face.landmarks import MIRROR, N_LANDMARKS
+from ..face.rotation import euler_to_matrix
+from ..files.reading import as_object, parse_json
 from ..heads.regions import REGIONS, rms_extent
-from ..landmarks import MIRROR, N_LANDMARKS
-from ..reading import as_object, parse_json
-from ..rotation import euler_to_matrix
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, IntArray
 from .face_space import load_face_space
 from .facing import facing, usual_gaze
 from .take import Take
@@ -32,14 +32,14 @@ _ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "
 """Values that files of earlier versions lack."""
 _MAX_FRAMES, _MOMENT = 300, 0.2
 """Largest number of frames of a take that are searched for a neutral face, and its duration in seconds. A second would
-be too long, as strong performers seldom rest that long. From 0.15 to 0.5 the results of `bench.expressions` hardly
+be too long, as strong performers seldom rest that long. From 0.15 to 0.5 the results of `lab.bench.expressions` hardly
 change."""
 _TURNED, _MIN_TRUST = 0.5, 1e-3
 """Angle in radians, of pitch and yaw together, at which the weight of a frame is 1/e, and the smallest weight."""
 _CALM = 0.08
 """Amount of expression, in eye distances, above that of the calmest frame, at which the weight of a frame is 1/e in
-`rest_of`. On the clips of `bench.expressions`, 0.01 to 0.08 are about as accurate; the more frames count, the steadier
-the result."""
+`rest_of`. On the clips of `lab.bench.expressions`, 0.01 to 0.08 are about as accurate; the more frames count, the
+steadier the result."""
 _DOUBT = 0.2
 """Amount of expression, in eye distances, that a confidence of 0 counts as."""
 _USUAL = 0.35

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .. import linalg
-from ..arrays import FloatArray
 from ..errors import FacemimeError
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
 from ..tracking.smoothing import SHAPE_PARTS, ResultSmoother
 from .take import Take, TakeRecorder
 from .timing import project

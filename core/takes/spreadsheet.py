@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..actions import ACTIONS
-from ..apertures import eye_apertures, mouth_aperture
-from ..capture import check_readable
-from ..coefficient_names import COEFFICIENTS
 from ..errors import SourceError
-from ..files import replacing
-from ..landmarks import IBUG68_INDICES
-from ..reading import shown
+from ..face.actions import ACTIONS
+from ..face.apertures import eye_apertures, mouth_aperture
+from ..face.coefficient_names import COEFFICIENTS
+from ..face.landmarks import IBUG68_INDICES
+from ..files.reading import shown
+from ..files.writing import replacing
+from ..media.capture import check_readable
 from .format import info_content, info_of
 from .table_text import TextTable, read_table
 from .take import Take, check_take

@@ -7,8 +7,8 @@ from math import pi
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_INDEX
+from ..face.coefficient_names import COEFFICIENT_INDEX
+from ..numeric.arrays import FloatArray
 from .live_link_angles import EYES, HEAD, eye_directions, head_rotation
 
 AUTOMATIC, RADIANS, DEGREES = "automatic", "radians", "degrees"

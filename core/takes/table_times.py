@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..reading import shown
+from ..files.reading import shown
+from ..numeric.arrays import FloatArray
 from .table_text import is_number
 from .timecodes import seconds_of_timecodes
 

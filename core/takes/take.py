@@ -14,13 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import N_ACTIONS
-from ..arrays import FloatArray
-from ..coefficient_names import N_COEFFICIENTS
 from ..errors import SourceError
-from ..landmarks import N_LANDMARKS
+from ..face.actions import N_ACTIONS
+from ..face.coefficient_names import N_COEFFICIENTS
+from ..face.landmarks import N_LANDMARKS
+from ..files.version import version
+from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
-from ..version import version
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..reading import shown
+from ..files.reading import shown
+from ..numeric.arrays import FloatArray
 
 _PARTS = re.compile(r"[:;]")
 """Separators; a semicolon marks drop-frame timecodes, which skip numbers rather than frames."""

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
 from ..errors import SourceError
-from ..rotation import euler_to_matrix, mix_rotations
-from .settings import BLEND
+from ..face.rotation import euler_to_matrix, mix_rotations
+from ..numeric.arrays import FloatArray
+from .mending_settings import BLEND
 from .take import FIELDS, Take, join
 
 _MAX_STEP = 2.5

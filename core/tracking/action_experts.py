@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import ACTION_MIRROR, N_ACTIONS
-from ..arrays import FloatArray, IntArray
+from ..face.actions import ACTION_MIRROR, N_ACTIONS
+from ..numeric.arrays import FloatArray, IntArray
 from .experts import FacePart
 
 

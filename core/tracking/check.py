@@ -7,7 +7,7 @@ from math import exp
 
 import numpy as np
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 
 N_FEATURES = 6
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 from .identity import Identity, describe_face
 from .pdm import FittedShape
 from .search import Candidate, largest

@@ -9,8 +9,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..landmarks import BROWS, INNER, MIRROR, N_LANDMARKS
+from ..face.landmarks import BROWS, INNER, MIRROR, N_LANDMARKS
+from ..numeric.arrays import FloatArray
 from .check import N_FEATURES
 from .experts import PartExperts, ResponseMaps
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..apertures import eye_apertures
-from ..arrays import FloatArray
-from ..landmarks import EYE_LEFT, EYE_RIGHT
-from ..rotation import euler_to_matrix
+from ..face.apertures import eye_apertures
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT
+from ..face.rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
 from .reference import warp_to_reference
 
 _EYES = np.array([EYE_RIGHT, EYE_LEFT])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..landmarks import LIPS
+from ..face.landmarks import LIPS
+from ..numeric.arrays import FloatArray
 
 _KNOWN, _SEEN, _HIDDEN = 0.6, 0.5, 0.4
 """Mean certainty of the lips above which they are remembered, below which they are partly held, and below which they

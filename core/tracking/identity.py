@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
+from ..numeric.arrays import FloatArray
 from .reference import warp_to_reference
 
 _SIDE, _SCALE, _CELLS = 40, 26.0, 10

@@ -8,8 +8,8 @@ from math import inf
 
 import numpy as np
 
-from ..arrays import FloatArray
-from ..linalg import solve_definite
+from ..numeric.arrays import FloatArray
+from ..numeric.linalg import solve_definite
 from .experts import ResponseMaps
 from .pdm import N_POSE, FittedShape, PointDistributionModel, normal_matrix
 

@@ -10,10 +10,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..actions import ACTION_MIRROR
-from ..arrays import FloatArray
-from ..coefficient_names import COEFFICIENT_MIRROR
-from ..landmarks import MIRROR
+from ..face.actions import ACTION_MIRROR
+from ..face.coefficient_names import COEFFICIENT_MIRROR
+from ..face.landmarks import MIRROR
+from ..numeric.arrays import FloatArray
 from .result import TrackResult
 
 _POSE = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])

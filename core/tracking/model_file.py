@@ -12,12 +12,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..actions import N_ACTIONS
-from ..archives import MAX_BYTES, Archive, read_archive
-from ..arrays import FloatArray, IntArray
 from ..errors import ModelError, OutputError
-from ..landmarks import N_LANDMARKS, outer_eye_distance
-from ..reading import read_bytes
+from ..face.actions import N_ACTIONS
+from ..face.landmarks import N_LANDMARKS, outer_eye_distance
+from ..files.archives import MAX_BYTES, Archive, read_archive
+from ..files.reading import read_bytes
+from ..numeric.arrays import FloatArray, IntArray
 from .action_experts import ActionExperts
 from .cascade_detector import DETECTORS
 from .check import N_FEATURES, FaceCheck

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..opencv import network_error, read_network
+from ..numeric.opencv import network_error, read_network
 
 
 class Network:

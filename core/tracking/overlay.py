@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray
-from ..landmarks import EDGES
+from ..face.landmarks import EDGES
+from ..numeric.arrays import FloatArray
 from .result import TrackResult
 
 Image = NDArray[np.uint8]

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
-from ..onnx import Node, encode_network
+from ..numeric.arrays import FloatArray, IntArray
+from ..numeric.onnx import Node, encode_network
 from .experts import ResponseMaps
 from .network import Network
 from .reference import translate_pose, warp_to_reference

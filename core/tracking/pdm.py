@@ -13,11 +13,11 @@ from math import cos, pi, sin
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray
-from ..landmarks import MIRROR
-from ..linalg import solve_definite
-from ..products import dot
-from ..rotation import euler_to_matrix
+from ..face.landmarks import MIRROR
+from ..face.rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
+from ..numeric.linalg import solve_definite
+from ..numeric.products import dot
 
 N_POSE = 6
 """`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""
@@ -299,7 +299,7 @@ def normal_matrix(flat: FloatArray, weights: FloatArray, prior: FloatArray) -> F
 
     Notes
     -----
-    By OpenCV, for the reasons given in `core/products.py`.
+    By OpenCV, for the reasons given in `core/numeric/products.py`.
     """
     normal = np.asarray(cv2.mulTransposed(flat * np.sqrt(weights)[:, None], aTa=True))
     # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from ..actions import N_ACTIONS
-from ..apertures import eye_apertures, mouth_aperture
-from ..arrays import FloatArray
-from ..coefficient_names import N_COEFFICIENTS
-from ..landmarks import N_LANDMARKS
-from ..rotation import euler_to_matrix
+from ..face.actions import N_ACTIONS
+from ..face.apertures import eye_apertures, mouth_aperture
+from ..face.coefficient_names import N_COEFFICIENTS
+from ..face.landmarks import N_LANDMARKS
+from ..face.rotation import euler_to_matrix
+from ..numeric.arrays import FloatArray
 
 CAMERA_DISTANCE = 6.0
 """Assumed distance of the camera in eye distances (equation 4.4), about that of a webcam."""
@@ -151,7 +151,7 @@ class TrackResult:
     def eye_apertures(self) -> FloatArray:
         """Apertures of the right and left eye without the pose, in outer-eye distances, (2,); 0 is shut.
 
-        See `core.apertures`.
+        See `core.face.apertures`.
         """
         return eye_apertures(self.shape)
 

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..arrays import FloatArray, as_image
-from ..assets import ASSETS
+from ..files.assets import ASSETS
+from ..numeric.arrays import FloatArray, as_image
 from .action_experts import ActionExperts, measure_actions
 from .choice import FaceChoice
 from .fitter import FaceFitter
@@ -22,7 +22,7 @@ from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .result import TrackResult, project_shape
 from .search import Candidate, FaceSearch, largest
-from .settings import DEFAULTS, NETWORK, TrackingSettings
+from .tracking_settings import DEFAULTS, NETWORK, TrackingSettings
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from ..arrays import FloatArray
 from ..drive.driver import HeadFrame
+from ..numeric.arrays import FloatArray
 from .model import ViewerModel
 
 FRAME, CLOCK = 1, 2

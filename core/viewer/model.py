@@ -13,14 +13,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import FloatArray, IntArray
 from ..deform.rbf import RBFDeformer
 from ..drive.driver import HeadDriver
 from ..errors import HeadError
+from ..face.landmarks import N_LANDMARKS
 from ..heads.appearance import Appearance, AttachedPart, Material
 from ..heads.rig import neck_of
-from ..landmarks import N_LANDMARKS
 from ..live.key_driver import KeyDriver
+from ..numeric.arrays import FloatArray, IntArray
 
 MAGIC = b"FMVM"
 STILL, SKIN, EYE_RIGHT, EYE_LEFT, JAW, RIDING, TONGUE = range(7)

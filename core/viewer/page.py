@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from ..assets import ASSETS
 from ..errors import ModelError
-from ..reading import read_bytes
+from ..files.assets import ASSETS
+from ..files.reading import read_bytes
 
 PAGE = ASSETS / "viewer"
 BUILT = "built/viewer.js"

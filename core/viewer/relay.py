@@ -11,7 +11,7 @@ from ..drive.driver import HeadDriver, HeadFrame
 from ..errors import OutputError, SourceError
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
-from ..streams.background import Connecting
+from ..streams.transport.background import Connecting
 from .messages import encode_frame
 from .model import ViewerModel
 from .nats import PONG, NatsError, NatsReader, Operation, connecting, publishing

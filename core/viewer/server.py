@@ -27,14 +27,14 @@ from websockets.server import ServerProtocol
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
-from ..streams.addresses import cannot_listen
-from ..streams.background import Serving, listening
+from ..streams.transport.addresses import cannot_listen
+from ..streams.transport.background import Serving, listening
 from .gate import MAX_CONNECTIONS, Gate, Guest
 from .messages import CLOCK_REQUEST, encode_clock, encode_frame
 from .model import ViewerModel
 from .page import Content, page_files, security_headers
 from .scene import Scene, description
-from .settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
+from .viewer_settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
 
 _STREAM = "stream"
 _MAX_MESSAGE = 64

@@ -12,9 +12,9 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from ..errors import OutputError, SourceError
-from ..files import replacing, write_secret
-from ..reading import read_bytes
-from ..streams.addresses import EVERYWHERE, LOOPBACK, is_loopback
+from ..files.reading import read_bytes
+from ..files.writing import replacing, write_secret
+from ..streams.transport.addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .model import ViewerModel
 from .nats import MAX_PAYLOAD
 from .page import content_policy, page_files

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.actions import Seen, auc, rows_of
-from facemime.core.actions import ACTIONS, N_ACTIONS
+from facemime.core.face.actions import ACTIONS, N_ACTIONS
+from lab.bench.actions import Seen, auc, rows_of
 
 
 def test_the_area_under_the_curve_is_the_share_of_pairs_in_order():

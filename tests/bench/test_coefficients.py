@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bench.coefficients import Performed, rows_of, summary
-from facemime.core.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
-from facemime.training.coefficients.script import random_expression, random_script, script_at
+from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
+from lab.bench.coefficients import Performed, rows_of, summary
+from lab.training.coefficients.script import random_expression, random_script, script_at
 
 JAW, SMILE, LOOK = (COEFFICIENT_INDEX[name] for name in ("jawOpen", "mouthSmileLeft", "eyeLookUpLeft"))
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from bench.crossing import cross, follow
-from bench.exact import Clip
 from facemime.core.tracking.tracker import FaceTracker
-from facemime.training.tracker.sources import read_photos, split
+from lab.bench.crossing import cross, follow
+from lab.bench.exact import Clip
+from lab.training.tracker.sources import read_photos, split
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of ../shared/data are not here")

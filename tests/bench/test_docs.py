@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench import docs
-from bench.report import Table, finish
+from lab.bench import docs
+from lab.bench.report import Table, finish
 
 ROOT = Path(__file__).parents[2]
 BEFORE = """# Speed

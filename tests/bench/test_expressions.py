@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score, slope
+from facemime.core.face.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
 from facemime.core.heads.rig import built_in_head
-from facemime.core.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
+from lab.bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score, slope
 
 RIG = built_in_head()
 REST = np.asarray(RIG.vertices, dtype=np.float64)[RIG.landmarks]

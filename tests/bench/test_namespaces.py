@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from bench.link import Link
-from bench.namespaces import ADDRESSES, Wire, may_join
+from lab.bench.link import Link
+from lab.bench.namespaces import ADDRESSES, Wire, may_join
 
 pytestmark = pytest.mark.skipif(not may_join(), reason="network namespaces need root on Linux")
 PORT = 9000

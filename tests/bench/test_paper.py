@@ -9,14 +9,14 @@ from pathlib import Path
 import cv2
 import pytest
 
-from bench import docs
-from bench.deformation import judge
-from bench.deformers import Method, regions
-from bench.heads import AREAS, TrueHead, true_built_in_head
-from bench.paper import paper_settings, region_table
-from bench.paper_claims import cell, claims
-from bench.report import Table
 from facemime.core.heads.rig import built_in_head
+from lab.bench import docs
+from lab.bench.deformation import judge
+from lab.bench.deformers import Method, regions
+from lab.bench.heads import AREAS, TrueHead, true_built_in_head
+from lab.bench.paper import paper_settings, region_table
+from lab.bench.paper_claims import cell, claims
+from lab.bench.report import Table
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "paper.md"

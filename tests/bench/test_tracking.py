@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
-from bench.peers.saragih import read_peer
-from bench.tracking import paces
-from facemime.core.landmarks import INNER, LOWER_LIDS, OUTER_EYE_CORNERS, UPPER_LIDS
+from facemime.core.face.landmarks import INNER, LOWER_LIDS, OUTER_EYE_CORNERS, UPPER_LIDS
 from facemime.core.tracking.tracker import FaceTracker
+from lab.bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
+from lab.bench.peers.saragih import read_peer
+from lab.bench.tracking import paces
 
 PEER = Path(__file__).parents[3] / "shared/data/models/saragih_facetracker/model/face2.tracker"
 

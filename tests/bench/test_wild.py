@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from bench import wild
 from facemime.core.errors import SourceError
-from facemime.core.landmarks import IBUG68_INDICES
+from facemime.core.face.landmarks import IBUG68_INDICES
+from lab.bench import wild
 
 SAMPLE = Path(__file__).parents[2] / "assets" / "sample"
 

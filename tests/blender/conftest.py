@@ -7,8 +7,6 @@ from dataclasses import replace
 
 import bpy
 import pytest
-from clocks import AskedClock
-from scans import scanned
 
 import facemime
 from facemime.blender.frames import to_blender
@@ -20,7 +18,9 @@ from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from facemime.settings import storage
 from facemime.settings.performers import write_calibration
-from takes import performance
+from tests.helpers.clocks import AskedClock
+from tests.helpers.scans import scanned
+from tests.helpers.takes import performance
 
 _ENDING = 120
 """Seconds until a Blender that hangs on exit, as 4.5 does if something is still registered, is killed."""

@@ -15,14 +15,14 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY, TONGUE_KEY
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
-from facemime.core.actions import ACTIONS, N_ACTIONS
-from facemime.core.bake.settings import BakeSettings
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.settings import DriveSettings
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.face.actions import ACTIONS, N_ACTIONS
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
-from takes import performance
+from tests.helpers.takes import performance
 
 
 def showing() -> Take:

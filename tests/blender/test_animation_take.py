@@ -3,19 +3,19 @@
 import bpy
 import numpy as np
 import pytest
-from hiding import HIDING
-from thorough import first_of
 
-from commands import run
 from facemime.blender.animation.sampling import Sampling
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.coefficient_names import COEFFICIENTS
-from facemime.core.landmarks import outer_eye_distance
+from facemime.core.face.coefficient_names import COEFFICIENTS
+from facemime.core.face.landmarks import outer_eye_distance
 from facemime.core.takes.file import load_take
 from facemime.core.takes.neutral import calibrate
 from facemime.settings import takes_store
+from tests.helpers.commands import run
+from tests.helpers.hiding import HIDING
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 LAST = 12

@@ -3,7 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from curves import curves_of
 
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.puppet import puppet_head
@@ -15,9 +14,10 @@ from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GRO
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.errors import HeadError
-from facemime.core.landmarks import OUTER_EYE_CORNERS
-from facemime.core.puppet.settings import PuppetSettings
-from takes import performance
+from facemime.core.face.landmarks import OUTER_EYE_CORNERS
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.curves import curves_of
+from tests.helpers.takes import performance
 
 
 def evaluated_vertices(obj: bpy.types.Object) -> np.ndarray:

@@ -6,8 +6,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from curves import curves_of
-from thorough import first_of
 
 from facemime.blender.actions import TRACK
 from facemime.blender.animation.bake_cache import MODIFIER
@@ -20,13 +18,15 @@ from facemime.blender.frames import from_blender, rotation_to_blender
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.bake.key_map import KeyMap, KeyRow
-from facemime.core.bake.settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import FacemimeError, HeadError, OutputError, SourceError
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.smooth import smooth_take
-from takes import performance
+from tests.helpers.curves import curves_of
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 
 @pytest.fixture(autouse=True)

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import pytest
 import quickjs
-from clips import write_clips
 
 import facemime
 from facemime.core.takes.file import load_take
+from tests.helpers.clips import write_clips
 
 ROOT = Path(facemime.__file__).parent
 BIN = Path(sys.prefix) / "bin"

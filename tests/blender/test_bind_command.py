@@ -4,8 +4,6 @@ import bpy
 import numpy as np
 import pytest
 
-from blenders import ROOT
-from commands import run
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import read_marks
 from facemime.blender.heads.built_in import add_head
@@ -15,7 +13,9 @@ from facemime.cli.bind import DOUBTFUL, parse_mark
 from facemime.cli.terminal.remedies import REMEDIES, for_terminal
 from facemime.core.binding.bind import MARKS, TOO_COARSE
 from facemime.core.errors import FacemimeError, HeadError
-from facemime.core.landmarks import from_ibug, outer_eye_distance
+from facemime.core.face.landmarks import from_ibug, outer_eye_distance
+from tests.helpers.blenders import ROOT
+from tests.helpers.commands import run
 
 
 @pytest.fixture

@@ -3,13 +3,8 @@
 import bpy
 import numpy as np
 import pytest
-from characters import TRUTH, make_character, shown, turn_between
-from clips import write_clips
-from curves import curves_of
 from mathutils import Matrix, Quaternion, Vector
-from thorough import first_of
 
-from commands import run
 from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
@@ -28,14 +23,19 @@ from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import HEAD_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
-from facemime.core.bake.settings import BakeSettings
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.face.landmarks import outer_eye_distance
 from facemime.core.heads.parts import Part
-from facemime.core.landmarks import outer_eye_distance
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
-from takes import performance
+from tests.helpers.characters import TRUTH, make_character, shown, turn_between
+from tests.helpers.clips import write_clips
+from tests.helpers.commands import run
+from tests.helpers.curves import curves_of
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 
 @pytest.mark.parametrize("start", first_of(["body", "eye_left", "head"]))

@@ -7,19 +7,19 @@ import bpy
 import numpy as np
 import pytest
 
-from commands import run
 from facemime.blender.animation.clips import clips_of, owners_of, play, play_single
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.timeline import rate_of
 from facemime.cli.puppet.files import likely_mesh, object_named, open_file
 from facemime.cli.terminal.options import head_file
-from facemime.core.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.errors import HeadError, SourceError
+from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.puppet.job import CHARACTER_SUFFIXES, HeadFile
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
-from takes import performance
+from tests.helpers.commands import run
+from tests.helpers.takes import performance
 
 
 def _export_usd(path):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from characters import make_character, shown
 
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.binding_undo import FormerBinding
@@ -16,6 +15,7 @@ from facemime.blender.names import PART_PROPERTY, REGION_GROUPS
 from facemime.core.errors import HeadError
 from facemime.operators.own_head import FACEMIME_OT_bind_landmarks
 from facemime.operators.shared import chosen_character, heads_in, subject
+from tests.helpers.characters import make_character, shown
 
 
 def select(*objects: bpy.types.Object, active: bpy.types.Object | None = None) -> None:

@@ -23,7 +23,7 @@ from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.errors import OutputError
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.file import load_take, save_take
-from takes import performance
+from tests.helpers.takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample"
 COMMAND = Path(sys.prefix) / "bin" / "facemime"

@@ -21,7 +21,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.rendering import write_video
 from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
-from takes import performance
+from tests.helpers.takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 COMMAND = Path(sys.prefix) / "bin" / "facemime"

@@ -11,11 +11,11 @@ from facemime.blender.heads.landmark_places import landmark_places, nearest_land
 from facemime.blender.meshes import read_landmarks, read_selection, write_selection
 from facemime.blender.rigs import read_rig
 from facemime.core.control_points.select import select_control_points
-from facemime.core.landmarks import from_ibug
+from facemime.core.face.landmarks import from_ibug
 from facemime.settings.panel_properties import list_landmarks
 from facemime.ui.control_points import FACEMIME_UL_landmarks, shown_rows
 from facemime.ui.point_overlay import dots
-from takes import performance
+from tests.helpers.takes import performance
 
 NOSE, EAR = from_ibug((30, 0))
 FRONT = np.array([[5.0, 0.0, 0.0, 0.0], [0.0, 0.0, 5.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])

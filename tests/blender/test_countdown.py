@@ -10,13 +10,13 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.sounds import beep
-from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
+from facemime.core.streams.stream_settings import StreamSettings
 from facemime.operators import puppet
 from facemime.operators.puppet import running
 from facemime.settings.preferences import preferences
 from facemime.ui.status import countdown_text
-from live_ticks import TIMER, let_a_frame_come, start, tick, ticks_until
+from tests.helpers.live_ticks import TIMER, let_a_frame_come, start, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("in_a_project", "looping")
 ESC = SimpleNamespace(type="ESC", value="PRESS", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)

@@ -18,7 +18,7 @@ from facemime.blender.rigs import read_rig
 from facemime.core.drive import jaw, retarget
 from facemime.core.puppet.performance import Performance
 from facemime.core.takes.file import load_take
-from facemime.settings import presets
+from facemime.settings import user_presets as presets
 from facemime.settings.values import bake_settings, puppet_settings
 
 FILES = Path(__file__).resolve().parents[1] / "data" / "before_floors"

@@ -7,8 +7,6 @@ from contextlib import nullcontext
 import bpy
 import numpy as np
 import pytest
-from characters import make_character
-from hiding import HIDING
 
 from facemime.blender.animation import exporting
 from facemime.blender.animation.exporting import keys_as_shown, selected_for_export
@@ -16,10 +14,12 @@ from facemime.blender.animation.gltf import export_gltf
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.built_in import add_head
-from facemime.core.bake.settings import BakeSettings
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import OutputError
-from facemime.core.puppet.settings import PuppetSettings
-from takes import performance
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.characters import make_character
+from tests.helpers.hiding import HIDING
+from tests.helpers.takes import performance
 
 
 def bake(head, keys="new", path=None):

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from blenders import ROOT, blender_python
+from tests.helpers.blenders import ROOT, blender_python
 
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 
@@ -69,5 +69,5 @@ def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(pl
         "assets/viewer/built/LICENSE",
     ):
         assert needed in names
-    for unwanted in ("training/", "tests/", "bench/", "docs/", "tools/", ".", "Makefile", "pyproject.toml"):
+    for unwanted in ("lab/training/", "tests/", "lab/bench/", "docs/", "tools/", ".", "Makefile", "pyproject.toml"):
         assert not [name for name in names if name.startswith(unwanted)]

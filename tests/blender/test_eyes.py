@@ -3,8 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from scans import UNIT, scanned
-from seen import seen
 
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import check_object
@@ -12,10 +10,12 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import eye_vertices, read_faces, read_landmarks, read_regions, read_vertices
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, MIRROR, UPPER_LIDS
+from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, MIRROR, UPPER_LIDS
 from facemime.core.mesh.surface import SurfaceGraph
 from facemime.core.takes.neutral import calibrate
-from takes import make_take
+from tests.helpers.scans import UNIT, scanned
+from tests.helpers.seen import seen
+from tests.helpers.takes import make_take
 
 WORDS = "The eyes are joined to their lids, so they cannot shut."
 

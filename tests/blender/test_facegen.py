@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facegen_files import OBJ, UVS, VERTICES, egm, tri
+from tests.helpers.facegen_files import OBJ, UVS, VERTICES, egm, tri
 
 
 def test_a_tri_and_the_egm_beside_it_become_a_mesh_with_shape_keys(tmp_path):

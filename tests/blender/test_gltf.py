@@ -7,19 +7,19 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from characters import make_character
 
-from commands import run
 from facemime.blender.animation.gltf import export_gltf
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.built_in import add_head
-from facemime.core.bake.settings import BakeSettings
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError, OutputError
 from facemime.core.mesh.nearest import NearestPoints
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
-from takes import performance
+from tests.helpers.characters import make_character
+from tests.helpers.commands import run
+from tests.helpers.takes import performance
 
 FRAMES = (1, 20, 40)
 

@@ -17,9 +17,9 @@ from facemime.blender.meshes import read_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
 from facemime.blender.placement import is_seen_by_camera
 from facemime.blender.rigs import read_rig
+from facemime.core.face.landmarks import from_ibug
+from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
-from facemime.core.landmarks import from_ibug
-from facemime.core.rotation import euler_to_matrix
 
 ANGLES = st.tuples(*[st.floats(-1.5, 1.5)] * 3)
 POINTS = st.lists(st.tuples(*[st.floats(-10, 10)] * 3), min_size=1, max_size=5)

@@ -7,9 +7,9 @@ import pytest
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.sampling import Sampling
 from facemime.blender.heads.built_in import add_head
-from facemime.core.bake.settings import BakeSettings
-from facemime.core.puppet.settings import PuppetSettings
-from takes import performance
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.takes import performance
 
 
 def _constant_key(block):

@@ -4,8 +4,6 @@ import bmesh
 import bpy
 import numpy as np
 import pytest
-from scans import UNIT
-from thorough import first_of
 
 from facemime.blender.heads.binding import check_object
 from facemime.blender.heads.built_in import add_head
@@ -13,12 +11,14 @@ from facemime.blender.meshes import read_faces, read_landmarks, read_regions, re
 from facemime.blender.rigs import read_rig
 from facemime.cli.puppet.character import bind
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
+from facemime.core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph
 from facemime.core.puppet.job import HeadFile
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.result import TrackResult
-from takes import performance
+from tests.helpers.scans import UNIT
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 
 def test_joined_lips_of_a_scan_are_reported_until_they_are_opened(scan):

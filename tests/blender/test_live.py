@@ -19,7 +19,7 @@ from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from facemime.settings.values import drive_settings
-from live_ticks import CLICK, attend, shown, start, tick, ticks_until
+from tests.helpers.live_ticks import CLICK, attend, shown, start, tick, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

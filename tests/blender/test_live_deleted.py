@@ -8,13 +8,13 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from thorough import first_of
 
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, LIVE_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
 from facemime.operators.puppet import running
-from live_ticks import CLICK, outcome_of_ticks, shown, some_frames, start, tick, ticks_until
+from tests.helpers.live_ticks import CLICK, outcome_of_ticks, shown, some_frames, start, tick, ticks_until
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

@@ -2,7 +2,6 @@
 
 import bpy
 import pytest
-from curves import curves_of
 
 from facemime.blender.animation.live_keys import live_keys
 from facemime.blender.animation.live_mesh import LIVE_KEY
@@ -10,7 +9,8 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import ASIDE_PROPERTY, PART_PROPERTY, VALUES_PROPERTY
 from facemime.core.errors import HeadError
 from facemime.sessions.start import follow_settings, start_session
-from live_ticks import wait_for
+from tests.helpers.curves import curves_of
+from tests.helpers.live_ticks import wait_for
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

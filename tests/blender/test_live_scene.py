@@ -10,7 +10,7 @@ from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.built_in import add_head
 from facemime.core.errors import HeadError
 from facemime.operators.puppet import running
-from live_ticks import outcome_of_ticks, shown, some_frames, start, ticks_until
+from tests.helpers.live_ticks import outcome_of_ticks, shown, some_frames, start, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

@@ -8,7 +8,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.settings.performers import calibration_of, forget, read_calibration
 from facemime.settings.preferences import preferences
-from live_ticks import start, tick, ticks_until, wait_for
+from tests.helpers.live_ticks import start, tick, ticks_until, wait_for
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

@@ -5,10 +5,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from characters import make_character
-from thorough import first_of
 
-from commands import run
 from facemime.blender.animation.live_keys import live_keys
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.animation.puppet import puppet_head
@@ -20,18 +17,21 @@ from facemime.blender.heads.keyed import bind_keys
 from facemime.blender.meshes import driven_by_keys, is_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
-from facemime.core.bake.settings import BakeSettings
-from facemime.core.drive.key_sets import KEY_SETS
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError
 from facemime.core.heads.parts import Part
 from facemime.core.heads.rig import neck_of
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.keys.key_sets import KEY_SETS
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.operators.steps import in_background
 from facemime.sessions.start import follow_settings, start_session
 from facemime.settings import takes_store
-from live_ticks import wait_for
-from takes import performance
+from tests.helpers.characters import make_character
+from tests.helpers.commands import run
+from tests.helpers.live_ticks import wait_for
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 MAPPED = PuppetSettings(bake=BakeSettings(keys="mapped"))

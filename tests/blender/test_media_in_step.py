@@ -6,15 +6,15 @@ import bpy
 import cv2
 import numpy as np
 import pytest
-from clips import write_variable_clip
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.reference import add_reference
 from facemime.blender.timeline import rate_of
-from facemime.core.capture import VideoSource
+from facemime.core.media.capture import VideoSource
 from facemime.core.takes.file import save_take
 from facemime.operators import media
-from takes import performance
+from tests.helpers.clips import write_variable_clip
+from tests.helpers.takes import performance
 
 STEPS = [1] * 30 + [2] * 30
 """A second at 30 images per second, and two at 15."""

@@ -6,10 +6,10 @@ import re
 import bpy
 import pytest
 
-from blenders import ROOT
 from facemime.blender import messages
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.messages import NESTED, Templates, load_languages, translated
+from tests.helpers.blenders import ROOT
 
 _SPEC = importlib.util.spec_from_file_location("strings", ROOT / "tools" / "strings.py")
 strings = importlib.util.module_from_spec(_SPEC)

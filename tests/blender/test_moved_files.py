@@ -9,9 +9,10 @@ import pytest
 
 from facemime.blender.heads.built_in import add_head
 from facemime.core.takes.file import save_take
-from facemime.settings import moved_files, presets, storage, takes_store
+from facemime.settings import moved_files, storage, takes_store
+from facemime.settings import user_presets as presets
 from facemime.settings.preferences import preferences
-from takes import performance
+from tests.helpers.takes import performance
 
 DOCUMENTS = storage.documents
 """The function that the fixtures replace."""

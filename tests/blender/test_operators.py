@@ -20,7 +20,7 @@ from facemime.sessions.session import Session
 from facemime.sessions.tracking import TrackingSession
 from facemime.settings.values import SAMPLE as SHIPPED
 from facemime.settings.values import whole_file
-from takes import performance
+from tests.helpers.takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 

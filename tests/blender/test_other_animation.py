@@ -5,7 +5,6 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from curves import curves_of
 
 from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.puppet import puppet_head
@@ -13,9 +12,10 @@ from facemime.blender.animation.targets import own_targets
 from facemime.blender.animation.underneath import mute_under, playing_under
 from facemime.blender.characters import members_of
 from facemime.blender.heads.built_in import add_head
-from facemime.core.bake.settings import BakeSettings
-from facemime.core.puppet.settings import PuppetSettings
-from takes import performance
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.curves import curves_of
+from tests.helpers.takes import performance
 
 FRAMES = (1, 20, 40)
 

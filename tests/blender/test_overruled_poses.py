@@ -2,14 +2,14 @@
 
 import bpy
 import pytest
-from characters import make_character
 
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.built_in import add_head
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.sessions.show import TakeShow
-from takes import performance
+from tests.helpers.characters import make_character
+from tests.helpers.takes import performance
 
 
 def warnings_of(head, **settings):

@@ -3,9 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from characters import make_character, shown
 from mathutils import Matrix
-from thorough import first_of
 
 from facemime.blender.heads import binding
 from facemime.blender.heads.binding import bind_character, bind_head, check_object, read_marks
@@ -17,10 +15,12 @@ from facemime.cli.puppet.files import bound_character
 from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_control_points, to_json
 from facemime.core.errors import HeadError
-from facemime.core.landmarks import OUTER_EYE_CORNERS, from_ibug
+from facemime.core.face.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.takes.file import load_take, save_take
-from facemime.training.data import DATA
-from takes import performance
+from lab.training.data import DATA
+from tests.helpers.characters import make_character, shown
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 CHARACTERS = DATA / "characters"
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 import bpy
 import numpy as np
 import pytest
-from characters import make_character
-from curves import curves_of
 from mathutils import Euler, Matrix, Quaternion
 
 from facemime.blender.animation.bake import remove_baked
@@ -19,10 +17,12 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.puppet.settings import BakeSettings, PuppetSettings
+from facemime.core.puppet.puppet_settings import BakeSettings, PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions.show import TakeShow
-from takes import performance
+from tests.helpers.characters import make_character
+from tests.helpers.curves import curves_of
+from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

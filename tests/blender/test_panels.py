@@ -6,8 +6,6 @@ from types import SimpleNamespace
 import blf
 import bpy
 import pytest
-from characters import TRUTH, make_character
-from panels import Layout, draw
 
 from facemime.blender.heads.binding import write_marks
 from facemime.blender.heads.built_in import add_head
@@ -16,8 +14,8 @@ from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.blender.viewports import free_box
 from facemime.core.control_points.select import select_control_points
+from facemime.core.face.landmarks import IBUG68_INDICES
 from facemime.core.heads.regions import REGIONS
-from facemime.core.landmarks import IBUG68_INDICES
 from facemime.core.takes.file import save_take
 from facemime.operators.calibrate import FACEMIME_OT_calibrate
 from facemime.settings import takes_store
@@ -46,8 +44,10 @@ from facemime.ui.takes import (
     FACEMIME_UL_key_rows,
     FACEMIME_UL_takes,
 )
-from live_ticks import wait_for
-from takes import performance
+from tests.helpers.characters import TRUTH, make_character
+from tests.helpers.live_ticks import wait_for
+from tests.helpers.panels import Layout, draw
+from tests.helpers.takes import performance
 
 
 def nothing() -> None:

@@ -13,8 +13,8 @@ from facemime.core.live.worker import LiveWorker
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions import live
 from facemime.settings.performers import read_calibration, stored_performers, write_calibration
-from live_ticks import start, ticks_until
-from takes import performance
+from tests.helpers.live_ticks import start, ticks_until
+from tests.helpers.takes import performance
 
 NEUTRAL = replace(calibrate(performance()), asked=True)
 

@@ -4,12 +4,12 @@ import bpy
 import cv2
 import numpy as np
 import pytest
-from thorough import first_of
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.heads.landmark_pictures import draw_landmarks
 from facemime.blender.media.preview_scene import face_view, setup_preview
 from facemime.blender.media.rendering import render_frames
+from tests.helpers.thorough import first_of
 
 SIZE = (96, 96)
 

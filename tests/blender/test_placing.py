@@ -11,7 +11,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.blender.heads.placing import Placing, marks_to_ask, place_of_mark
 from facemime.blender.meshes import read_landmarks, read_regions
 from facemime.core.binding.bind import MARKS
-from facemime.core.landmarks import from_ibug
+from facemime.core.face.landmarks import from_ibug
 
 CORNER = int(from_ibug([48])[0])
 

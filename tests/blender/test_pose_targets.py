@@ -3,7 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from characters import make_character
 from mathutils import Vector
 
 from facemime.blender.animation.targets import PoseTarget, own_targets
@@ -13,11 +12,12 @@ from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
+from facemime.core.face.landmarks import EYE_CORNERS, outer_eye_distance
+from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.bones import FaceBones
-from facemime.core.landmarks import EYE_CORNERS, outer_eye_distance
-from facemime.core.rotation import euler_to_matrix
 from facemime.operators.puppet import running
-from live_ticks import outcome_of_ticks, ticks_until
+from tests.helpers.characters import make_character
+from tests.helpers.live_ticks import outcome_of_ticks, ticks_until
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

@@ -5,8 +5,8 @@ import json
 import bpy
 import pytest
 
-from facemime.core.puppet.presets import BUILT_IN, built_in_path
-from facemime.settings import presets
+from facemime.core.puppet.built_in_presets import BUILT_IN, built_in_path
+from facemime.settings import user_presets as presets
 
 
 @pytest.fixture(autouse=True)

@@ -5,8 +5,6 @@ import threading
 import bpy
 import numpy as np
 import pytest
-from fuzz.steps import OURS
-from thorough import first_of
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import is_head, read_vertices
@@ -14,8 +12,10 @@ from facemime.core.takes.file import save_take
 from facemime.operators.puppet import running
 from facemime.sessions.session import Session
 from facemime.settings.preferences import preferences
-from live_ticks import attend
-from takes import performance
+from tests.fuzz.steps import OURS
+from tests.helpers.live_ticks import attend
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 STEPS = 20
 

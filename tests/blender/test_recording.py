@@ -7,21 +7,21 @@ import bpy
 import numpy as np
 import pytest
 from mathutils import Vector
-from thorough import first_of
-from turned import turned_clip
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.reference import add_reference
-from facemime.core.capture import VideoSource
 from facemime.core.errors import OutputError
+from facemime.core.media.capture import VideoSource
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
 from facemime.settings import takes_store
-from live_ticks import attend, wait_for
-from takes import performance
+from tests.helpers.live_ticks import attend, wait_for
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
+from tests.helpers.turned import turned_clip
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 

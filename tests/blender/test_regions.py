@@ -11,7 +11,7 @@ from facemime.blender.heads.painting import paint_region
 from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS
 from facemime.core.errors import HeadError
-from facemime.core.landmarks import from_ibug
+from facemime.core.face.landmarks import from_ibug
 from facemime.ui import region_overlay
 from facemime.ui.region_overlay import coloured_triangles, shown_regions
 

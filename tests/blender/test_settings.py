@@ -3,10 +3,10 @@
 import bpy
 import pytest
 
-from facemime.core.bake.settings import BakeSettings
-from facemime.core.drive.settings import DriveSettings, PosingSettings
-from facemime.core.puppet.settings import PuppetSettings
-from facemime.core.settings import settings_of
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
+from facemime.core.files.setting import settings_of
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.settings.values import bake_settings, puppet_settings
 
 

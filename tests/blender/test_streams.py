@@ -9,22 +9,19 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from panels import draw
-from vtube_studio import TOKEN, Studio
-from vtube_studio import running as at_port
 
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.names import PART_PROPERTY
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.errors import SourceError
-from facemime.core.streams.identity import load_identity
-from facemime.core.streams.live_link import LiveLinkDecoder
-from facemime.core.streams.pairing import Pairing, parse_pairing
+from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.streams.protocols.live_link import LiveLinkDecoder
 from facemime.core.streams.sender import StreamSender
-from facemime.core.streams.settings import SendSettings, StreamSettings
 from facemime.core.streams.source import StreamSource
-from facemime.core.streams.tls_server import TlsSender
+from facemime.core.streams.stream_settings import SendSettings, StreamSettings
+from facemime.core.streams.transport.identity import load_identity
+from facemime.core.streams.transport.pairing import Pairing, parse_pairing
+from facemime.core.streams.transport.tls_server import TlsSender
 from facemime.core.streams.vertices import VertexSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
 from facemime.core.takes.from_coefficients import coefficient_face
@@ -36,10 +33,13 @@ from facemime.settings.performers import read_calibration, write_calibration
 from facemime.settings.preferences import preferences
 from facemime.settings.values import open_sender, open_source
 from facemime.ui.puppet import FACEMIME_PT_incoming, FACEMIME_PT_puppet
-from links import all_the_time, free_port, performing, sending_phone
-from live_ticks import shown, some_frames, start, tick, ticks_until
-from takes import coefficient_take, performance
-from watching import built_in, face
+from tests.helpers.links import all_the_time, free_port, performing, sending_phone
+from tests.helpers.live_ticks import shown, some_frames, start, tick, ticks_until
+from tests.helpers.panels import draw
+from tests.helpers.takes import coefficient_take, performance
+from tests.helpers.viewer.watching import built_in, face
+from tests.helpers.vtube_studio import TOKEN, Studio
+from tests.helpers.vtube_studio import running as at_port
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

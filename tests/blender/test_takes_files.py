@@ -10,7 +10,7 @@ import pytest
 from facemime.blender.heads.built_in import add_head
 from facemime.core.takes.file import save_take
 from facemime.settings import takes_store
-from takes import performance
+from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 

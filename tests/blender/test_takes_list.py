@@ -6,7 +6,6 @@ from pathlib import Path
 import bpy
 import numpy as np
 import pytest
-from thorough import first_of
 
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.live_mesh import LIVE_KEY
@@ -20,8 +19,9 @@ from facemime.core.takes.smooth import smooth_take
 from facemime.sessions.session import Session
 from facemime.sessions.show import TakeShow, follow_settings
 from facemime.settings import takes_store
-from live_ticks import shown
-from takes import performance
+from tests.helpers.live_ticks import shown
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 

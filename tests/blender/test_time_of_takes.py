@@ -7,17 +7,17 @@ from dataclasses import replace
 import bpy
 import numpy as np
 import pytest
-from curves import curves_of
 
-from commands import run
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.meshes import is_head
-from facemime.core.bake.settings import BakeSettings
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.sessions.show import TakeShow
-from takes import performance
+from tests.helpers.commands import run
+from tests.helpers.curves import curves_of
+from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 

@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from blenders import ROOT
+from tests.helpers.blenders import ROOT
 
 _PUSH = """
 import os, threading

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from blenders import ROOT, blender_python, unpack_wheels
+from tests.helpers.blenders import ROOT, blender_python, unpack_wheels
 
 pytestmark = [pytest.mark.thorough, pytest.mark.timeout(1800)]
 

@@ -8,14 +8,11 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import bpy
-import characters
 import cv2
 import numpy as np
 import pytest
-from clocks import PATIENCE
 from websockets.sync.client import connect
 
-from commands import START, needs_posix
 from facemime.blender.animation.appearance import read_appearance
 from facemime.blender.heads.built_in import add_head
 from facemime.blender.media.preview_scene import setup_preview
@@ -24,15 +21,18 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError
 from facemime.core.heads.appearance import built_in_appearance
 from facemime.core.heads.rig import built_in_head
-from facemime.core.streams.addresses import EVERYWHERE
+from facemime.core.streams.transport.addresses import EVERYWHERE
 from facemime.core.takes.file import save_take
 from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.page import BUILT, PAGE
 from facemime.operators.puppet import running
 from facemime.settings.values import viewer_settings
-from live_ticks import some_frames, start, tick, ticks_until
-from takes import performance
+from tests.helpers import characters
+from tests.helpers.clocks import PATIENCE
+from tests.helpers.commands import START, needs_posix
+from tests.helpers.live_ticks import some_frames, start, tick, ticks_until
+from tests.helpers.takes import performance
 
 pytestmark = [
     pytest.mark.usefixtures("nothing_left_over"),

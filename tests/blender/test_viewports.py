@@ -3,7 +3,6 @@
 from types import SimpleNamespace
 
 import bpy
-from characters import make_character
 from mathutils import Quaternion
 
 from facemime.blender.heads.binding import bind_character
@@ -11,6 +10,7 @@ from facemime.blender.heads.family import character_of
 from facemime.blender.media.preview_scene import face_points, look_at_face
 from facemime.blender.meshes import read_landmarks
 from facemime.blender.viewports import Viewport, is_hidden_by_others
+from tests.helpers.characters import make_character
 
 
 def hidden(obj: bpy.types.Object) -> bool:

@@ -3,8 +3,6 @@
 import bpy
 import numpy as np
 import pytest
-from characters import make_character, shown
-from thorough import first_of
 
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
@@ -15,7 +13,9 @@ from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.parts import Part
 from facemime.core.takes.neutral import calibrate
-from takes import performance
+from tests.helpers.characters import make_character, shown
+from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 RIGID = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "hair", "body")
 CARRIED = {"hair": 1e-5, "teeth_upper": 1e-5, "eye_left": 2e-3, "eye_right": 2e-3, "teeth_lower": 0.01, "tongue": 0.01}

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pytest
 
-from facemime.core.streams.settings import StreamSettings
 from facemime.core.streams.source import StreamSource
+from facemime.core.streams.stream_settings import StreamSettings
 from facemime.core.takes.file import save_take
 from facemime.core.tracking.tracker import FaceTracker
-from links import free_port
-from takes import performance
+from tests.helpers.links import free_port
+from tests.helpers.takes import performance
 
 
 @pytest.fixture

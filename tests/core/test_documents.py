@@ -8,13 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.bake.settings import BakeSettings
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.settings import DriveSettings, PosingSettings
 from facemime.core.heads.rig import built_in_head
-from facemime.core.puppet.settings import PuppetSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
-from takes import performance
+from tests.helpers.takes import performance
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted(

@@ -14,7 +14,7 @@ import pytest
 
 import facemime
 from facemime.core.takes.file import save_take
-from takes import performance
+from tests.helpers.takes import performance
 
 ROOT = Path(facemime.__file__).parent
 SAMPLE = ROOT / "assets" / "sample" / "sample.mp4"

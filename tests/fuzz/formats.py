@@ -18,30 +18,30 @@ from typing import Any
 import cv2
 import numpy as np
 
-from facegen_files import OBJ, egm, tri
 from facemime.cli.batch.record import checked_record
-from facemime.core import presets
 from facemime.core.bake import key_map
-from facemime.core.capture import VideoSource
 from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
 from facemime.core.deform.follow import follow_matrix
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError, SourceError
+from facemime.core.files import preset_files as presets
+from facemime.core.files.reading import parse_json
+from facemime.core.files.setting import Choice, Setting
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas
 from facemime.core.heads.rig import built_in_head
-from facemime.core.images import read_image
+from facemime.core.media.capture import VideoSource
+from facemime.core.media.images import read_image
 from facemime.core.mesh.kernels import get_kernel
-from facemime.core.reading import parse_json
-from facemime.core.settings import Choice, Setting
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
-from takes import performance
+from tests.helpers.facegen_files import OBJ, egm, tri
+from tests.helpers.takes import performance
 
 from .mutators import Arrays, archive_bytes, mutated_archive, mutated_bytes, mutated_json, npy_bytes
 from .recordings import TAKES

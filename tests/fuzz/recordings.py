@@ -14,12 +14,10 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from recordings import audio2face, face_cap, openface, unity
-
-from facemime.core.coefficient_names import COEFFICIENTS
 from facemime.core.drive.anonymous import anonymise
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import FacemimeError
+from facemime.core.face.coefficient_names import COEFFICIENTS
 from facemime.core.heads.rig import built_in_head
 from facemime.core.recordings.reading import read_recording
 from facemime.core.takes.coefficient_table import from_coefficient_csv, write_coefficient_csv
@@ -31,7 +29,8 @@ from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.spreadsheet import from_csv, to_csv
 from facemime.core.takes.take import Take, check_take
 from facemime.core.takes.timing import resample, restart, trim
-from takes import coefficient_take, performance
+from tests.helpers.recordings import audio2face, face_cap, openface, unity
+from tests.helpers.takes import coefficient_take, performance
 
 from .mutators import mutated_bytes, mutated_json
 

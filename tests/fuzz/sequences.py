@@ -23,14 +23,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import bpy
 import numpy as np
-from clocks import AskedClock
+from steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
 
 import facemime
 from facemime.core.live.sources import PacedSource
 from facemime.operators.attached_parts import attend as attend_parts
 from facemime.sessions.session import Session
-from live_ticks import attend
-from steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
+from tests.helpers.clocks import AskedClock
+from tests.helpers.live_ticks import attend
 
 PACKAGE = str(Path(facemime.__file__).parent)
 

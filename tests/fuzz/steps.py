@@ -13,12 +13,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 import bpy
 import numpy as np
 
-from facegen_files import tri
 from facemime.core.live.sources import PacedSource
 from facemime.core.takes.file import save_take
 from facemime.operators.puppet import running
-from live_ticks import attend
-from takes import performance
+from tests.helpers.facegen_files import tri
+from tests.helpers.live_ticks import attend
+from tests.helpers.takes import performance
 
 Random = np.random.Generator
 TIMER = SimpleNamespace(type="TIMER", value="NOTHING", ctrl=False, oskey=False, mouse_x=0, mouse_y=0)

@@ -10,9 +10,9 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from fuzz.mutators import mutated_bytes
 
-from commands import START
+from tests.fuzz.mutators import mutated_bytes
+from tests.helpers.commands import START
 
 bpy = pytest.importorskip("bpy")
 pytestmark = [

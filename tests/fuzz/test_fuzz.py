@@ -15,7 +15,7 @@ pytest.importorskip("resource", reason="memory is bounded by the system's own li
 if not sys.platform.startswith("linux"):
     pytest.skip("memory is bounded by what Linux tells of a process", allow_module_level=True)
 
-from fuzz.formats import FORMATS
+from tests.fuzz.formats import FORMATS
 
 COUNT = int(os.environ.get("FACEMIME_FUZZ_CASES", "2000"))
 _MOST_ENDS = 20

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from blenders import ROOT, blender_python, unpack_wheels
+from tests.helpers.blenders import ROOT, blender_python, unpack_wheels
 
 pytestmark = [
     pytest.mark.thorough,

@@ -10,10 +10,10 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from fuzz.formats import FORMATS
 
-from blenders import ROOT
 from facemime.core.errors import FacemimeError
+from tests.fuzz.formats import FORMATS
+from tests.helpers.blenders import ROOT
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the fuzzers need Linux")
 CASES = 3

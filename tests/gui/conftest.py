@@ -8,10 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from walking import EVERY_FRAME, TOOLS
 
-from sidebar import Sidebar
-from window import MODULE, ROOT, Blender, places
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import EVERY_FRAME, TOOLS
+from tests.helpers.gui.window import MODULE, ROOT, Blender, places
 
 SUITES = ("trixie", "sid")
 QUICK = "sid"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from walking import HEAD, add_head, start, stop
 
-from sidebar import Sidebar
-from window import MODULE, Blender
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import HEAD, add_head, start, stop
+from tests.helpers.gui.window import MODULE, Blender
 
 pytestmark = pytest.mark.thorough
 _RUNNING = "Session.current is not None and not Session.current.closed"

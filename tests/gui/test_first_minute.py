@@ -5,11 +5,11 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from walking import SIZES, TOOLS, choose_the_sample_clip, middle, shows_stop, skin
 
-from conftest import QUICK, SUITES, installed
-from sidebar import Sidebar
-from window import Blender
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import SIZES, TOOLS, choose_the_sample_clip, middle, shows_stop, skin
+from tests.helpers.gui.window import Blender
+from tests.gui.conftest import QUICK, SUITES, installed
 
 _POSES, _CALIBRATE = ("NEUTRAL", "RANGE"), "bpy.ops.facemime.calibrate(pose='{pose}'"
 _LEAST_SHARE, _LEAST_MOTION = 0.15, 0.01

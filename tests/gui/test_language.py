@@ -8,11 +8,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from catalogues import LANGUAGE, WRONG, write_catalogue
 
-from conftest import SUITES, install, place_of
-from sidebar import Sidebar
-from window import Blender
+from tests.helpers.gui.catalogues import LANGUAGE, WRONG, write_catalogue
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.window import Blender
+from tests.gui.conftest import SUITES, install, place_of
 
 pytestmark = pytest.mark.thorough
 _SHOWN = """

@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-from walking import CLIP, TOOLS, run_in_viewport, start, stop
 
-from conftest import installed
-from sidebar import Sidebar
-from window import Blender
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import CLIP, TOOLS, run_in_viewport, start, stop
+from tests.helpers.gui.window import Blender
+from tests.gui.conftest import installed
 
 pytestmark = pytest.mark.thorough
 

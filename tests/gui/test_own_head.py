@@ -8,8 +8,10 @@ import sys
 import cv2
 import numpy as np
 import pytest
-from scans import write_scan
-from walking import (
+
+from facemime.core.takes.file import save_take
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import (
     HEAD,
     PIXEL_OF_FOREHEAD,
     PIXEL_OF_LANDMARK,
@@ -20,11 +22,9 @@ from walking import (
     start,
     stop,
 )
-
-from facemime.core.takes.file import save_take
-from sidebar import Sidebar
-from takes import performance
-from window import ROOT, Blender, wait
+from tests.helpers.gui.window import ROOT, Blender, wait
+from tests.helpers.scans import write_scan
+from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.thorough
 

@@ -16,12 +16,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from scans import write_scan
-from studio import ASIDE, Studio, keep
-from walking import CLIP, HEAD, SIZES, choose_file, choose_the_sample_clip, middle, skin
 
-from conftest import QUICK, installed
-from window import MODULE, ROOT
+from tests.helpers.gui.studio import ASIDE, Studio, keep
+from tests.helpers.gui.walking import CLIP, HEAD, SIZES, choose_file, choose_the_sample_clip, middle, skin
+from tests.helpers.gui.window import MODULE, ROOT
+from tests.helpers.scans import write_scan
+from tests.gui.conftest import QUICK, installed
 
 pytestmark = pytest.mark.thorough
 

@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from walking import HEAD, start, stop
 
-from sidebar import Sidebar
-from window import ROOT, Blender
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import HEAD, start, stop
+from tests.helpers.gui.window import ROOT, Blender
 
 pytestmark = pytest.mark.thorough
 STRANGERS = ROOT.parent / "shared" / "data" / "characters"

@@ -7,12 +7,12 @@ from collections.abc import Iterator
 
 import pytest
 
-from conftest import installed
-from facemime.core.coefficient_names import COEFFICIENT_INDEX
-from facemime.core.streams.live_link import LiveLinkDecoder
-from links import free_port, sending_phone
-from sidebar import Sidebar
-from window import Blender
+from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.streams.protocols.live_link import LiveLinkDecoder
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.window import Blender
+from tests.helpers.links import free_port, sending_phone
+from tests.gui.conftest import installed
 
 pytestmark = pytest.mark.thorough
 

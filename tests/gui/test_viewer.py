@@ -6,12 +6,12 @@ import json
 from collections.abc import Iterator
 
 import pytest
-from clocks import PATIENCE
 from websockets.sync.client import connect
 
-from conftest import installed
-from sidebar import Sidebar
-from window import Blender
+from tests.helpers.clocks import PATIENCE
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.window import Blender
+from tests.gui.conftest import installed
 
 _SETTINGS = """
 bpy.context.preferences.system.use_online_access = True

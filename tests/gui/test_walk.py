@@ -8,16 +8,16 @@ import shutil
 import cv2
 import numpy as np
 import pytest
-from walking import CLIP, HEAD, TOOLS, add_head, run_in_viewport, start, stop
 
 from facemime.blender.frames import to_blender
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.face.landmarks import OUTER_EYE_CORNERS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.landmarks import OUTER_EYE_CORNERS
 from facemime.core.takes.neutral import Neutral
 from facemime.core.tracking.tracker import FaceTracker
-from sidebar import Sidebar
-from window import MODULE, wait
+from tests.helpers.gui.sidebar import Sidebar
+from tests.helpers.gui.walking import CLIP, HEAD, TOOLS, add_head, run_in_viewport, start, stop
+from tests.helpers.gui.window import MODULE, wait
 
 pytestmark = pytest.mark.thorough
 _SNAPSHOT = f"""

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, sync_playwright
 
-from programs import program
-from watching import Watched
+from tests.helpers.programs import program
+from tests.helpers.viewer.watching import Watched
 
 ROOT = Path(__file__).resolve().parents[2]
 SOFTWARE = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from headset import entered, with_headset
 from playwright.sync_api import Page
 
-from watching import built_in, face, shown_on, until, vertices_of
+from tests.helpers.viewer.headset import entered, with_headset
+from tests.helpers.viewer.watching import built_in, face, shown_on, until, vertices_of
 
 pytestmark = pytest.mark.thorough
 TABLE, FLOOR = 0.73, 0.0

@@ -10,13 +10,13 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
-from clocks import wait_for
 from playwright.sync_api import Page
 
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.viewer.relay import RelaySender
-from relays import new_site, relaying
-from watching import built_in, face, loaded, until, vertices_of
+from tests.helpers.clocks import wait_for
+from tests.helpers.relays import new_site, relaying
+from tests.helpers.viewer.watching import built_in, face, loaded, until, vertices_of
 
 
 class _Quiet(SimpleHTTPRequestHandler):

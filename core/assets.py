@@ -1,5 +1,0 @@
-"""The folder of the files that Facemime ships."""
-
-from pathlib import Path
-
-ASSETS = Path(__file__).resolve().parents[1] / "assets"

@@ -1,0 +1,78 @@
+"""Reading and writing of presets, which are checked as a whole before use, and their file names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+from ..errors import OutputError, SourceError
+from .reading import as_object, parse_format, shown
+from .setting import Setting
+
+SUFFIX = ".json"
+_FORMAT = "facemime-preset"
+_FORBIDDEN = frozenset('<>:"/\\|?*')
+_DEVICES = frozenset({"con", "prn", "aux", "nul", *(f"{port}{n}" for port in ("com", "lpt") for n in range(1, 10))})
+"""Names that Windows reserves, whatever the suffix."""
+_MAX_NAME = 200
+"""Largest length of a name in bytes. With suffix and temporary prefix it fits into the 255 bytes of file systems."""
+
+
+Settings = Mapping[str, Mapping[str, Setting]]
+Values = dict[str, dict[str, Any]]
+
+
+def to_json(values: Values) -> str:
+    """Serialise a preset: the values of its settings, by group."""
+    return json.dumps({"format": _FORMAT} | values, indent=2) + "\n"
+
+
+def from_json(text: str, known: Settings) -> Values:
+    """Parse a preset.
+
+    Parameters
+    ----------
+    text : str
+        The text of a preset.
+    known : mapping of str to (mapping of str to Setting)
+        Known settings by group; others in the text are ignored.
+
+    Returns
+    -------
+    dict of str to dict
+        The checked values of those known settings that the preset contains.
+
+    Raises
+    ------
+    SourceError
+        If the text is not a preset, or a value is out of its range.
+    """
+    try:
+        data = parse_format(text, _FORMAT)
+        if not data.keys() & known.keys():
+            raise ValueError("it has no settings")
+        return {
+            group: {name: setting.checked(given[name], name) for name, setting in settings.items() if name in given}
+            for group, settings in known.items()
+            for given in [as_object(data.get(group, {}), group)]
+        }
+    except ValueError as error:
+        raise SourceError(f"This is not a Facemime preset ({error}). Choose another file.") from error
+
+
+def file_name(name: str) -> str:
+    """Return the file name of the preset `name`, which is the same on every system.
+
+    Raises
+    ------
+    OutputError
+        If no file can have that name.
+    """
+    clean = name.strip()
+    odd = any(letter in _FORBIDDEN or not letter.isprintable() for letter in clean)
+    if not clean or odd or clean[0] == "." or clean[-1] == "." or clean.split(".")[0].strip().lower() in _DEVICES:
+        raise OutputError(f"{shown(name)} cannot be used as the name of a preset. Use letters, digits and spaces.")
+    if len(clean.encode()) > _MAX_NAME:
+        raise OutputError(f"{shown(name)} cannot be used as the name of a preset: it is too long. Use a shorter one.")
+    return clean + SUFFIX

@@ -1,0 +1,1 @@
+"""Shape keys of expressions: making them, grading them, and reading a face that they move."""

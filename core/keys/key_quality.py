@@ -1,0 +1,158 @@
+"""Quality of shape keys that were made for a head: how well they shut lids and lips, and what passes through what."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..face.apertures import lid_gaps, lip_gaps
+from ..face.coefficient_names import COEFFICIENT_INDEX
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS
+from ..heads.rig import HeadRig
+from ..mesh.intersections import crossing_pairs
+from ..mesh.nearest import NearestPoints
+from ..mesh.surface import triangulate
+from ..numeric.arrays import FloatArray, IntArray
+from .key_sets import CLOSES, OPENS, KeySet
+
+_REACH = 0.2
+"""Distance from the landmarks of lids and lips, in outer-eye distances, within which triangles are examined."""
+_SHUT = 0.99
+"""Weight of a blink above which a key counts as shutting the eye."""
+_STILL = 1e-4
+"""Motion in outer-eye distances below which a vertex counts as resting."""
+_INSIDE = 0.02
+"""Share of the radius by which a triangle has to be inside an eyeball, beyond its depth at rest, to be counted."""
+_LIDS = {"eyeBlinkRight": slice(0, 2), "eyeBlinkLeft": slice(2, 4)}
+"""Pairs of lid landmarks that each unit shuts."""
+
+
+@dataclass(frozen=True)
+class KeyQuality:
+    """Figures of a key at value 1.
+
+    Attributes
+    ----------
+    name : str
+        Name of the key.
+    moved : float
+        Largest displacement of a vertex, in outer-eye distances.
+    eyes : float
+        Remaining opening of the eyes that the key shuts, as a share of that at rest; NaN if it shuts none.
+    lips : float
+        Widest gap of the lips that the key seals, in outer-eye distances; NaN if it does not seal them. ARKit's
+        mouthClose is measured together with jawOpen, for which it is made.
+    crossing : int
+        Number of triangles of lids and lips that pass through each other or an eyeball, but do not at rest.
+    """
+
+    name: str
+    moved: float
+    eyes: float
+    lips: float
+    crossing: int
+
+
+def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQuality]:
+    """Measure keys that were made by `expression_keys`.
+
+    Parameters
+    ----------
+    rig : HeadRig
+        The head.
+    keys : KeySet
+        The set.
+    motions : (K, A, 3) array
+        Displacements of all vertices at value 1, as in `HeadRig.all_vertices`.
+
+    Returns
+    -------
+    list of KeyQuality
+        The figures, in the order of the set.
+    """
+    alone, skin = rig.skin()
+    measure, unit = _Measure(alone), rig.eye_distance
+    qualities = []
+    for name, mixture, motion in zip(keys.names, keys.mixtures, motions, strict=True):
+        before = motions[keys.names.index(OPENS)] if name == CLOSES and OPENS in keys.names else np.zeros_like(motion)
+        posed = before + motion
+        own = posed if skin is None else posed[skin.kept]
+        shut = [pairs for unit_name, pairs in _LIDS.items() if mixture[COEFFICIENT_INDEX[unit_name]] > _SHUT]
+        moved = float(np.linalg.norm(motion, axis=1).max(initial=0.0)) / unit
+        lips = measure.lips(own) if name == CLOSES or name in keys.sealed else np.nan
+        qualities.append(KeyQuality(name, moved, measure.eyes(own, shut), lips, measure.crossing(own)))
+    return qualities
+
+
+def findings(qualities: Sequence[KeyQuality]) -> list[str]:
+    """Report how well keys shut eyes and lips, and how much passes through; figures that no key has are left out."""
+    found = []
+    if eyes := [100 * q.eyes for q in qualities if not np.isnan(q.eyes)]:
+        warning = f"Shut eyes stay open by {max(eyes):.1f} % at most"
+        found.append(warning)
+    if lips := [100 * q.lips for q in qualities if not np.isnan(q.lips)]:
+        warning = f"Sealed lips stay apart by {max(lips):.1f} % of the eye distance at most"
+        found.append(warning)
+    worst = max(qualities, key=lambda quality: quality.crossing, default=None)
+    if worst is not None and worst.crossing:
+        warning = f"{worst.crossing} triangles at most pass through others, in {worst.name}"
+        found.append(warning)
+    return found
+
+
+class _Measure:
+    """Measures the skin of a head under displacements (V, 3) of its vertices."""
+
+    def __init__(self, skin: HeadRig) -> None:
+        self._rest = np.asarray(skin.vertices, dtype=np.float64)
+        self._landmarks, self._unit, self._eyeballs = skin.landmarks, skin.eye_distance, skin.eyeballs
+        points = self._rest[skin.landmarks]
+        faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
+        _, squared = NearestPoints(points[np.concatenate([EYE_RIGHT, EYE_LEFT, LIPS])]).query(self._rest)
+        near = squared[:, 0] < (_REACH * self._unit) ** 2
+        triangles = triangulate(faces)
+        self._triangles = triangles[near[triangles].any(axis=1)]
+        moves = np.asarray(skin.region_weights).any(axis=0)
+        self._resting = self._crossed(self._rest, moves[self._triangles].any(axis=1))
+
+    def eyes(self, motion: FloatArray, shut: Sequence[slice]) -> float:
+        """Remaining opening of the eyes with the given pairs of lids, as a share of that at rest; NaN for none."""
+        if not shut:
+            return float("nan")
+        before, after = (lid_gaps((self._rest + moved)[self._landmarks]) for moved in (np.zeros_like(motion), motion))
+        shares = after / np.maximum(before, 1e-9 * self._unit)
+        return float(max(np.maximum(shares[pairs], 0.0).max() for pairs in shut))
+
+    def lips(self, motion: FloatArray) -> float:
+        """Widest gap of the lips, in outer-eye distances."""
+        return float(np.maximum(lip_gaps((self._rest + motion)[self._landmarks]), 0.0).max()) / self._unit
+
+    def crossing(self, motion: FloatArray) -> int:
+        """Number of triangles that pass through others or an eyeball, but do not at rest."""
+        moves = (np.abs(motion) > _STILL * self._unit).any(axis=1)[self._triangles].any(axis=1)
+        if not moves.any():
+            return 0
+        posed = self._rest + motion
+        crossed = self._crossed(posed, moves) | self._inside(posed)
+        return int((crossed & ~self._resting).sum())
+
+    def _crossed(self, places: FloatArray, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether each triangle passes through another, (T,)."""
+        crossed = np.zeros(len(self._triangles), dtype=bool)
+        crossed[crossing_pairs(places, self._triangles, moves)] = True
+        return crossed
+
+    def _inside(self, posed: FloatArray) -> NDArray[np.bool_]:
+        """Whether the middle of each triangle lies inside an eyeball, and deeper than at rest, (T,)."""
+        inside = np.zeros(len(self._triangles), dtype=bool)
+        for x, y, z, radius in np.asarray(self._eyeballs, dtype=np.float64).reshape(-1, 4):
+            before, after = (self._away(places, (x, y, z), self._triangles) for places in (self._rest, posed))
+            inside |= (after < (1.0 - _INSIDE) * radius) & (after < before - _INSIDE * radius)
+        return inside
+
+    @staticmethod
+    def _away(places: FloatArray, centre: tuple[float, float, float], triangles: IntArray) -> FloatArray:
+        return np.asarray(np.linalg.norm(places[triangles].mean(axis=1) - centre, axis=1))

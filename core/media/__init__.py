@@ -1,0 +1,1 @@
+"""Images and videos: capture, sizes, and where sound and images start."""

@@ -1,0 +1,192 @@
+"""Reading of video files, with the presentation time of each frame.
+
+Times are those in the container, not frame numbers over the nominal rate: phones and webcams record at a variable rate,
+and animation that is timed by counting frames would drift from their sound.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import stat
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import SourceError
+from ..files.closing import Closing
+from ..numeric.opencv import silence_opencv
+
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+MAX_PIXELS = 1 << 26
+"""Largest number of pixels of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
+_ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of a video.
+
+    Attributes
+    ----------
+    image : (H, W, 3) uint8
+        BGR.
+    time : float
+        Seconds from the first frame.
+    index : int
+        Number of the frame in the source, from 0.
+    """
+
+    image: NDArray[np.uint8]
+    time: float
+    index: int
+
+
+class VideoSource(Closing):
+    """A video file: a context manager, and an iterator over its frames in order.
+
+    Parameters
+    ----------
+    path : Path
+        Any file that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. Frames are rotated upright as
+        the file states, as phone videos require.
+
+    Attributes
+    ----------
+    turn : int
+        Degrees by which the stored frames are rotated clockwise: 0, 90, 180 or 270.
+    fps : float
+        Nominal rate in frames per second; 25 if the file states none.
+    frame_count : int
+        Stated number of frames, which may be wrong; 0 if unknown.
+
+    Raises
+    ------
+    SourceError
+        If there is no such file, it is not a video, its frames are too large, or none of them can be decoded.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        require_file(self.path)
+        require_utf8_name(self.path)
+        silence_opencv()
+        # FFmpeg takes text before a colon for a protocol, unless the path begins with a slash.
+        self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
+        if not self._capture.isOpened():
+            raise SourceError(f"{self.path} cannot be read as a video. Convert it to MP4 (H.264) and try again.")
+        width, height = (int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if width * height > MAX_PIXELS:
+            self._capture.release()
+            raise SourceError(f"The frames of {self.path} are too large: {width} x {height} pixels. Scale it down.")
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
+        self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+        fps = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.fps = fps if np.isfinite(fps) and 1.0 <= fps <= 1000.0 else 25.0
+        self.frame_count = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+
+    def __iter__(self) -> Iterator[Frame]:
+        start = previous = None
+        index = 0
+        while True:
+            read, image = self._capture.read()
+            if not read or image is None:
+                break
+            stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+            if previous is not None and not stamp > previous:
+                stamp = previous + 1.0 / self.fps
+            start = stamp if start is None else start
+            previous = stamp
+            yield Frame(np.asarray(image, dtype=np.uint8), stamp - start, index)
+            index += 1
+        if index == 0:
+            raise SourceError(
+                f"No frame of {self.path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
+                "Convert it to MP4 (H.264) and try again."
+            )
+
+    def close(self) -> None:
+        """Release the file; may be called twice."""
+        self._capture.release()
+
+
+def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
+    """Resample frames to a constant rate, each moment showing the frame that was on display then.
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        Frames with any times.
+    fps : float
+        Frames per second.
+
+    Returns
+    -------
+    iterator of Frame
+        Frames at even times, each with the index of its original frame.
+    """
+    emitted = 0
+    shown: Frame | None = None
+    for frame in frames:
+        while shown is not None and emitted / fps < frame.time - 0.5 / fps:
+            yield Frame(shown.image, emitted / fps, shown.index)
+            emitted += 1
+        shown = frame
+    if shown is not None:
+        yield Frame(shown.image, emitted / fps, shown.index)
+
+
+def require_file(path: Path) -> None:
+    """Raise a SourceError if `path` is missing, not a regular file, or not readable."""
+    if not check_readable(path):
+        raise SourceError(f"There is no file {path}. Check the path.")
+
+
+def check_readable(path: Path) -> bool:
+    """Return whether there is a file at `path`.
+
+    Raises
+    ------
+    SourceError
+        If it is something else, such as a folder or a pipe, which may never end, or if it is not readable.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    except PermissionError as error:
+        raise SourceError(
+            f"{path} cannot be read: no permission to enter its folder. Change the folder's permissions."
+        ) from error
+    except (OSError, ValueError) as error:  # too long, a loop of links, a zero byte
+        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
+        raise SourceError(f"{path} cannot be read: {reason}. Check the path.") from error
+    if not stat.S_ISREG(mode):
+        kind = "" if stat.S_ISDIR(mode) else " but a pipe or a device"
+        raise SourceError(f"{path} is not a file{kind}. Choose a file.")
+    if not os.access(path, os.R_OK):
+        raise SourceError(f"{path} cannot be read: no permission. Change its permissions or copy it elsewhere.")
+    return True
+
+
+def require_utf8_name(path: Path) -> None:
+    """Raise a SourceError if the absolute path is not valid UTF-8, which would crash OpenCV and Blender."""
+    whole = os.path.abspath(path)
+    try:
+        whole.encode()
+    except UnicodeEncodeError as error:
+        name = os.fsencode(whole).decode(errors="backslashreplace")
+        raise SourceError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
+
+
+def is_address(text: str) -> bool:
+    """Return whether FFmpeg would take `text` for an address, such as `http:host/x`, and might access the network.
+
+    A Windows drive letter is not an address.
+    """
+    return _ADDRESS.match(text) is not None

@@ -1,0 +1,1 @@
+"""Arrays and their checks, linear algebra, and networks that OpenCV runs."""

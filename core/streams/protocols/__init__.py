@@ -1,0 +1,1 @@
+"""Protocols of other programs, and the frame that all are decoded to; no sockets."""

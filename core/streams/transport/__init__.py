@@ -1,0 +1,1 @@
+"""Addresses, datagrams, signatures, certificates and sessions."""

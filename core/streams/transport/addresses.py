@@ -1,0 +1,159 @@
+"""Addresses of computers: parsing, and which of them are this computer's."""
+
+from __future__ import annotations
+
+import errno
+import ipaddress
+import socket
+
+from ...errors import OutputError, SourceError
+
+LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
+_ALL = {EVERYWHERE, "::"}
+_UNPRIVILEGED = 1024
+"""First port that systems let every program listen on."""
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether an address is of this computer alone. Names other than `localhost` count as other computers."""
+    if host.strip().lower() == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host.strip()).is_loopback
+    except ValueError:
+        return False
+
+
+def parse_address(text: str, port: int = 0) -> tuple[str, int]:
+    """Parse `HOST`, `HOST:PORT`, `:PORT` or `[IPV6]:PORT`.
+
+    Parameters
+    ----------
+    text : str
+        The address.
+    port : int
+        Port if `text` states none.
+
+    Returns
+    -------
+    host : str
+        Host; this computer if `text` states none.
+    port : int
+        Port.
+
+    Raises
+    ------
+    SourceError
+        If the text is none of these.
+    """
+    host, colon, number = text.strip().rpartition(":")
+    if not colon or (":" in host and not host.startswith("[")):
+        host, number = text.strip(), str(port)
+    host = host.removeprefix("[").removesuffix("]") or LOOPBACK
+    if not number.isdecimal() or not 0 <= int(number[:6]) <= 65535 or any(c.isspace() or c in "/@" for c in host):
+        raise SourceError(f"{text!r} is not an address. Use HOST:PORT, as in 192.168.1.7:{port or 21573}.")
+    return host, int(number)
+
+
+def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
+    """Find the family and the numeric address of a host.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int
+        Port.
+
+    Returns
+    -------
+    family : int
+        Address family, such as `socket.AF_INET`.
+    address : (str, int)
+        Numeric address and port.
+
+    Raises
+    ------
+    SourceError
+        If the host cannot be found.
+    """
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
+    except (OSError, UnicodeError) as error:
+        raise SourceError(f"The computer {host!r} was not found on the network. Check the address.") from error
+    return family, (str(address[0]), int(address[1]))
+
+
+def bracketed(host: str) -> str:
+    """Return a host as written before a port, which puts an IPv6 address in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
+def reachable(host: str) -> str:
+    """Return the address at which others reach a server that listens at `host` on this computer."""
+    return _way_out() if host in _ALL else host
+
+
+def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
+    """Return the error for an address that cannot be listened on.
+
+    Parameters
+    ----------
+    host, port : str, int
+        The address.
+    error : OSError
+        The cause.
+
+    Returns
+    -------
+    SourceError
+        To be raised.
+    """
+    if error.errno == errno.EADDRNOTAVAIL:
+        return SourceError(
+            f"{host} is not an address of this computer. Enter one that it has, or {EVERYWHERE} for all of them."
+        )
+    if error.errno in (errno.EACCES, errno.EPERM) and port < _UNPRIVILEGED:
+        return SourceError(
+            f"This computer does not let programs listen on port {port}. Choose one of {_UNPRIVILEGED} or above."
+        )
+    return SourceError(
+        f"Cannot listen on {host}:{port} ({error.strerror or error}). "
+        "Close the program that uses the port, or choose another port."
+    )
+
+
+def nobody_receives(host: str, port: int) -> str:
+    """Return the message for a port that nothing listens on."""
+    return f"No program receives at {bracketed(host)}:{port}. Start it there, or check the address and the port."
+
+
+def cannot_send(host: str, port: int, error: OSError) -> OutputError:
+    """Return the error for an address that cannot be sent to.
+
+    Parameters
+    ----------
+    host, port : str, int
+        The address.
+    error : OSError
+        The cause.
+
+    Returns
+    -------
+    OutputError
+        To be raised.
+    """
+    return OutputError(
+        f"Cannot send to {bracketed(host)}:{port} ({error.strerror or error}). "
+        "Check the address and the program that receives there."
+    )
+
+
+def _way_out() -> str:
+    """Return this computer's address in the network that leads outside; nothing is sent."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.connect(("192.0.2.1", 9))  # an address that is reserved for documentation (RFC 5737)
+        except OSError:
+            return LOOPBACK
+        return str(probe.getsockname()[0])

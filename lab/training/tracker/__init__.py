@@ -1,0 +1,1 @@
+"""Trains the tracker's model file: `python -m lab.training.tracker`."""

@@ -1,0 +1,98 @@
+"""Presets: settings of a performance in JSON files that users save, load and share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..core.errors import OutputError
+from ..core.files.preset_files import SUFFIX, file_name, to_json
+from ..core.files.writing import replacing
+from ..core.puppet.built_in_presets import CONTENTS, read_preset
+from .properties import FacemimeSettings
+from .storage import presets_folder
+
+
+def folder() -> Path:
+    """Return the folder of the user's presets."""
+    return presets_folder()
+
+
+def names() -> list[str]:
+    """Return the names of all presets, sorted."""
+    return sorted((path.stem for path in folder().glob(f"[!.]*{SUFFIX}")), key=str.casefold)
+
+
+def path_of(name: str) -> Path:
+    """Return the path of the preset `name`, whether it exists or not.
+
+    Raises
+    ------
+    OutputError
+        If the name cannot be a file name.
+    """
+    return folder() / file_name(name)
+
+
+def save(settings: FacemimeSettings, path: Path) -> None:
+    """Write `settings` to the file `path`.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+        Settings of a scene.
+    path : Path
+        File of the preset.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    owners = _owners(settings)
+    values = {group: {name: getattr(owners[group], name) for name in names} for group, names in CONTENTS.items()}
+    with replacing(path) as temporary:
+        temporary.write_text(to_json(values), encoding="utf-8")
+
+
+def load(settings: FacemimeSettings, path: Path) -> None:
+    """Apply the preset at `path` to `settings`; those that it does not contain are left unchanged.
+
+    Parameters
+    ----------
+    settings : FacemimeSettings
+        Settings of a scene, which are changed.
+    path : Path
+        File of the preset.
+
+    Raises
+    ------
+    SourceError
+        If the file is missing or not a preset. No setting is changed in that case.
+    """
+    owners = _owners(settings)
+    values = read_preset(path)
+    for group, chosen in values.items():
+        for name, value in chosen.items():
+            setattr(owners[group], name, value)
+
+
+def remove(name: str) -> None:
+    """Remove the preset `name`, if it exists.
+
+    Raises
+    ------
+    OutputError
+        If the name cannot be a file name, or the file cannot be removed.
+    """
+    path = path_of(name)
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise OutputError(f"Cannot remove {path}: {reason}. Remove it manually.") from error
+
+
+def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:
+    return {"settings": settings, "posing": settings.posing, "selection": settings.id_data.facemime_steps}

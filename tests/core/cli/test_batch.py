@@ -1,0 +1,320 @@
+"""Batches: finding and naming clips, their processes, and the report."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from facemime.cli import main as cli
+from facemime.cli.batch import run
+from facemime.cli.batch.clips import (
+    Clip,
+    Namer,
+    confidence_curve,
+    find_clips,
+    read_record,
+    worst_frames,
+    write_record,
+)
+from facemime.cli.batch.report import Entry, write_report
+from facemime.cli.terminal.guard import own_command
+from facemime.cli.terminal.options import Parser, add_puppet_options, as_options, parse, puppet_job
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
+from facemime.core.errors import FacemimeError, OutputError, SourceError
+from facemime.core.files.setting import settings_of
+from facemime.core.files.writing import locked
+from facemime.core.media.images import write_image
+from facemime.core.puppet.job import HeadFile, PuppetJob
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.takes import performance
+from tools import farm
+
+ROOT = Path(__file__).resolve().parents[3]
+JOB = PuppetJob(Path("a.mp4"), Path("out"))
+
+
+def test_clips_are_found_in_folders_and_lists_in_a_fixed_order(tmp_path):
+    for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm", "._b.mp4", "a folder.mp4/notes.txt"):
+        (tmp_path / "clips" / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "clips" / name).write_text(name)
+    folder = [tmp_path / "clips" / name for name in ("a.MOV", "b.mp4", "deep/c.webm")]
+    assert find_clips([tmp_path / "clips"]) == folder
+    (tmp_path / "list.txt").write_text("# mine\nclips/b.mp4\n\nnowhere.mp4\n")
+    assert find_clips([tmp_path / "list.txt"]) == [tmp_path / "clips" / "b.mp4", tmp_path / "nowhere.mp4"]
+    assert len(find_clips([tmp_path / "clips", tmp_path / "clips" / "b.mp4"])) == 4
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
+    for source, words in (
+        ("empty", "no video in"),
+        ("missing", "nor a list of clips"),
+        ("binary", "nor a list of clips"),
+    ):
+        with pytest.raises(SourceError, match=words):
+            find_clips([tmp_path / source])
+
+
+def test_a_clip_keeps_its_name_until_its_content_or_a_setting_changes(tmp_path):
+    clip, copy, head = tmp_path / "a.mp4", tmp_path / "b.mp4", tmp_path / "own.blend"
+    for path in (clip, copy, head):
+        path.write_text("one")
+    name = Namer(JOB).clip(clip).name
+    assert name.startswith("a-") and Namer(replace(JOB)).clip(clip).name == name
+    assert Namer(JOB).clip(copy).name[2:] == name[2:]
+    planar = replace(JOB, settings=PuppetSettings(drive=DriveSettings(mode="planar")))
+    assert Namer(planar).clip(clip).name != name
+    own, other = (replace(JOB, head=HeadFile(head, obj)) for obj in ("Face", "Other"))
+    before = Namer(own).clip(clip).name
+    assert Namer(other).clip(clip).name != before != name
+    head.write_text("two")
+    assert Namer(own).clip(clip).name != before
+    clip.write_text("two")
+    assert Namer(JOB).clip(clip).name != name
+    with pytest.raises(SourceError, match="no such file"):
+        Namer(JOB).clip(tmp_path / "none.mp4")
+    with pytest.raises(SourceError, match="no such file"):
+        Namer(replace(JOB, head=HeadFile(Path("none.blend"), "Face")))
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        PuppetSettings(),
+        PuppetSettings(smoothing=0.0, rotation=False, drive=DriveSettings(kernel="gaussian", mirror=True)),
+        PuppetSettings(
+            translation=True,
+            drive=DriveSettings(strength_lower=0.125, posing=PosingSettings(eyes_limit=0.3, location_limit=2.0)),
+            bake=BakeSettings(keys="mapped", max_keys=7, clean=0.005, nla=True),
+        ),
+    ],
+    ids=["default", "few", "many"],
+)
+def test_a_job_survives_conversion_to_options_and_back(tmp_path, settings):
+    files = {"points": tmp_path / "p.json", "map": tmp_path / "m.json" if settings.bake.keys == "mapped" else None}
+    job = replace(JOB, settings=settings, face=(320.0, 12.0), head=HeadFile(tmp_path / "a.blend", "Face"), **files)
+    parser = Parser()
+    add_puppet_options(parser)
+    read = puppet_job(parse(parser, as_options(job)), source=job.source, output=job.output)
+    assert replace(read, settings=settings) == job
+    for ours, theirs in zip(_numbers(read.settings), _numbers(settings), strict=True):
+        assert ours == (pytest.approx(theirs, rel=1e-9) if type(theirs) is float else theirs)
+
+
+def _numbers(settings: PuppetSettings) -> list[object]:
+    groups = (settings, settings.drive, settings.drive.posing, settings.bake)
+    return [getattr(group, name) for group in groups for name in settings_of(type(group))]
+
+
+def test_the_farm_templates_have_every_option_that_a_clip_has():
+    assert (ROOT / "farm" / "facemime.openjd.yaml").read_text() == farm.openjd(), "run tools/farm.py"
+    assert (ROOT / "farm" / "facemime.js").read_text() == farm.flamenco(), "run tools/farm.py"
+
+
+def test_a_clip_is_done_if_its_record_and_outputs_exist(tmp_path):
+    job = Clip(tmp_path / "a.mp4", "a-0")
+    assert read_record(job, tmp_path) is None
+    outputs = [job.output(tmp_path, suffix) for suffix in (".blend", ".facetake", ".pc2", ".png")]
+    for path in (*outputs, job.output(tmp_path, ".lock")):
+        path.touch()
+    write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
+    record = read_record(job, tmp_path)
+    assert record["outputs"] == [path.name for path in outputs]
+    outputs[2].unlink()
+    assert read_record(job, tmp_path) is None
+    outputs[2].touch()
+    assert (record["frames"], record["found"], record["clip"]) == (60, 59, "a.mp4")
+    for broken in ("", "[]", '{"outputs": ', "{}"):
+        job.output(tmp_path, ".json").write_text(broken)
+        assert read_record(job, tmp_path) is None
+
+
+def test_the_worst_frames_are_the_least_certain_ones_some_time_apart():
+    take = performance(100)
+    take.confidence[:] = 0.9
+    take.confidence[[10, 11, 70]] = (0.1, 0.2, 0.3)
+    assert worst_frames(take) == [10, 50, 70]
+    curve = confidence_curve(performance(1000))
+    assert len(curve) == 300 and min(curve) == 0.0 and max(curve) == 1.0
+    assert len(worst_frames(performance(2))) == 1
+
+
+@pytest.fixture
+def done(tmp_path) -> tuple[Clip, Path, dict]:
+    """A finished clip, the path of its record, and its content."""
+    job = Clip(tmp_path / "a.mp4", "a-1")
+    job.output(tmp_path, ".blend").write_bytes(b"x")
+    write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
+    path = job.output(tmp_path, ".json")
+    return job, path, json.loads(path.read_text())
+
+
+@pytest.mark.parametrize(
+    "key", ["clip", "outputs", "frames", "found", "length", "seconds", "confidence", "worst", "thumbnails"]
+)
+def test_a_clip_whose_record_lacks_a_part_is_not_done(done, key):
+    job, path, record = done
+    assert read_record(job, path.parent) == record
+    path.write_text(json.dumps({name: value for name, value in record.items() if name != key}))
+    assert read_record(job, path.parent) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        *(("found", value) for value in (61, -1, "<b>", True, 1e300, 10**400)),
+        *(("length", value) for value in (float("nan"), float("inf"), "1", None)),
+        *(("outputs", value) for value in ([], ["../a-1.blend"], ["/etc/passwd"], ["a\\b"], [""], [3], "a-1.blend")),
+        *(("confidence", value) for value in (["<script>"], [2.0], [float("nan")], 3, [0.5] * 5000)),
+        *(("worst", value) for value in (["x"], [[]], [None])),
+        *(("thumbnails", value) for value in (['"><script>alert(1)</script>'], [3], {})),
+        ("clip", ["a"]),
+        *(("missing", value) for value in (3, None, "x" * 2000)),
+    ],
+)
+def test_a_clip_with_an_invalid_record_is_not_done(done, key, value):
+    job, path, record = done
+    path.write_text(json.dumps(record | {key: value}))
+    assert read_record(job, path.parent) is None
+
+
+def test_names_and_messages_are_escaped_in_the_report(tmp_path):
+    odd = "<script>alert(1)</script>\udce9"
+    record = {"length": 1.0, "found": 1, "frames": 2, "seconds": 1.0, "confidence": [], "worst": [0.5]}
+    record["thumbnails"] = ['"><script>alert(2)</script>']
+    record["missing"] = "<script>alert(3)</script>"
+    write_report([Entry(odd, odd, odd, odd, record), Entry("b", "failed")], tmp_path)
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert "<script" not in page and "&lt;script&gt;" in page and "alert(3)" in page
+
+
+def test_the_report_says_what_is_missing_from_a_clip(tmp_path):
+    take = performance()
+    take.info["recovered"] = "The video was cut or damaged. Missing: 3.00 s after 2.36 s."
+    write_record(job := Clip(tmp_path / "a.mp4", "a-1"), tmp_path, take, 1.0, [])
+    record = json.loads(job.output(tmp_path, ".json").read_text())
+    write_report([Entry("a.mp4", "done", "a-1", record=record)], tmp_path)
+    assert take.info["recovered"] in (tmp_path / "report.html").read_text()
+
+
+def test_the_report_is_one_file_and_lists_failures_first(tmp_path):
+    write_image(tmp_path / "good-1.png", np.full((60, 90, 3), 128, np.uint8))
+    write_record(job := Clip(tmp_path / "good.mp4", "good-1"), tmp_path, performance(), 1.0, [b"jpeg"] * 2)
+    record = json.loads(job.output(tmp_path, ".json").read_text())
+    entries = [
+        Entry("good.mp4", "done", "good-1", record=record),
+        Entry("<b>.mp4", "failed", "b-1", said="a < b"),
+        Entry("late.mp4", "not reached"),
+    ]
+    write_report(entries, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "3 clips: 1 done, 1 failed, 1 not reached" in page
+    assert page.index("&lt;b&gt;.mp4: failed") < page.index("good.mp4: done") and "a &lt; b" in page
+    assert page.count("data:image/jpeg;base64,") == 3 and "<polyline" in page and "http" not in page
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert told["counts"] == {"done": 1, "skipped": 0, "failed": 1, "not reached": 1}
+    assert "thumbnails" not in told["clips"][0]["record"]
+
+
+@pytest.fixture
+def python_lines(monkeypatch):
+    """Run command lines as Python code."""
+    monkeypatch.setattr(run, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
+
+
+def test_a_crashed_or_failed_process_does_not_stop_others(python_lines):
+    lines = ["import os; os.abort()", "sys.exit('no head')", "pass", "print('so', file=sys.stderr)", "sys.exit(7)"]
+    runner = run.LocalRunner(2)
+    ended = sorted(runner.run([[line] for line in lines]), key=lambda outcome: outcome.index)
+    runner.close()
+    runner.close()
+    assert [outcome.status for outcome in ended][1:] == [1, 0, 0, 7] and ended[0].status != 0
+    assert ended[1].said == "no head" and ended[3].said == "so"
+    assert run.run_line(["sys.exit('there too')"]) == (1, "there too")
+
+
+def test_closing_a_runner_ends_running_and_drops_waiting_lines(python_lines, tmp_path):
+    script = f"open({str(tmp_path / 'started')!r}, 'w').close(); import time; time.sleep(600)"
+    runner = run.LocalRunner(1)
+    lines = [[script], [f"open({str(tmp_path / 'second')!r}, 'w').close()"]]
+    thread = threading.Thread(target=lambda: ended.append(next(runner.run(lines))))
+    ended: list[run.Outcome] = []
+    thread.start()
+    while not (tmp_path / "started").exists():
+        time.sleep(0.01)
+    runner.close()
+    thread.join()
+    assert ended[0].index == 0 and ended[0].status != 0
+    assert not (tmp_path / "second").exists()
+
+
+def test_inside_blender_processes_are_started_through_blender(monkeypatch):
+    monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="/opt/blender")))
+    assert own_command() == ["/opt/blender", "--command", "facemime"]
+    monkeypatch.setitem(sys.modules, "bpy", SimpleNamespace(app=SimpleNamespace(binary_path="")))
+    assert own_command() == [sys.executable, "-m", "facemime.cli"]
+
+
+def test_missing_dask_or_scheduler_is_a_clear_error(monkeypatch):
+    with pytest.raises(FacemimeError, match="There is no Dask scheduler at nowhere"):
+        run.DaskRunner("nowhere://")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(FacemimeError, match="pip install distributed"):
+        run.DaskRunner("tcp://127.0.0.1:1")
+
+
+def test_dask_is_imported_only_if_requested():
+    code = "import sys, facemime.cli.main; sys.exit('distributed' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_a_lock_is_exclusive_and_ends_with_its_process(tmp_path):
+    lock, log = tmp_path / "a.lock", tmp_path / "log"
+    script = (
+        "import sys, time; from pathlib import Path; from facemime.core.files import locked\n"
+        "log = open(sys.argv[2], 'a')\n"
+        "for i in range(10):\n"
+        "    with locked(Path(sys.argv[1])):\n"
+        "        log.write('in\\n'); log.flush(); time.sleep(0.005); log.write('out\\n'); log.flush()\n"
+    )
+    several = [subprocess.Popen([sys.executable, "-c", script, lock, log]) for _ in range(3)]
+    assert [process.wait() for process in several] == [0, 0, 0]
+    assert log.read_text() == "in\nout\n" * 30 and not lock.exists()
+    holding = script.split("log =")[0] + "\nwith locked(Path(sys.argv[1])): print('in', flush=True); time.sleep(600)"
+    with subprocess.Popen([sys.executable, "-c", holding, lock], stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        process.kill()
+    with locked(lock):
+        assert lock.exists()
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError), locked(tmp_path / "file" / "a.lock"):
+        raise AssertionError
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["batch", "{0}", "-o", "{0}/out"], "no video in"),
+        (["batch", "{0}/a.mp4", "-o", "{0}/out", "--jobs", "0"], "must be at least 1"),
+        (["batch", "{0}/a.mp4", "-o", "{0}/a.mp4"], "read-only|not a directory|folder"),
+        (["clip", "{0}/list", "-o", "{0}/out"], "--number 1 to --number 2"),
+        (["clip", "{0}/list", "--number", "3", "-o", "{0}/out"], "--number 1 to --number 2"),
+        (["clip", "{0}/list", "--number", "2", "-o", "{0}/out"], "cannot be read"),
+    ],
+)
+def test_impossible_batches_are_refused_before_anything_is_written(tmp_path, capsys, arguments, words):
+    import re
+
+    (tmp_path / "list").write_text("a.mp4\nb.mp4\n")
+    if "no video" not in words:
+        (tmp_path / "a.mp4").write_text("x")
+    assert cli.main([argument.format(tmp_path) for argument in arguments]) == 1
+    assert re.search(words, capsys.readouterr().err) and not (tmp_path / "out").exists()

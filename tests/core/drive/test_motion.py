@@ -1,0 +1,61 @@
+"""The basis of a motion, and the selection of its most distinct frames."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.bake.basis import fit_basis
+from facemime.core.drive.motion import HeadMotion, select_distinct_frames
+from facemime.core.face.actions import N_ACTIONS
+
+
+@settings(max_examples=30)
+@given(st.integers(0, 10_000), st.integers(1, 8), st.floats(0.001, 0.3))
+def test_the_basis_keeps_every_vertex_of_every_frame_within_the_tolerance(seed, rank, tolerance):
+    rng = np.random.default_rng(seed)
+    motion = np.einsum("nk,kvd->nvd", rng.normal(size=(40, rank)), rng.normal(size=(rank, 50, 3))).astype(np.float32)
+    basis = fit_basis(motion, tolerance)
+    rebuilt = np.einsum("nk,kvd->nvd", basis.weights, basis.modes)
+    worst = np.linalg.norm(rebuilt - motion, axis=2).max()
+    assert len(basis.modes) <= rank
+    assert worst <= tolerance + 1e-4
+    np.testing.assert_allclose(worst, basis.worst_error, atol=1e-4)
+    assert np.abs(basis.weights).max(initial=0.0) <= 1.0 + 1e-6
+
+
+@settings(max_examples=5)
+@given(st.integers(0, 10_000))
+def test_the_modes_of_a_long_motion_are_as_few_as_those_of_singular_vectors(seed):
+    rng = np.random.default_rng(seed)
+    amounts = rng.normal(size=(500, 60)) * 0.8 ** np.arange(60)
+    motion = np.einsum("nk,kvd->nvd", amounts, rng.normal(size=(60, 100, 3))).astype(np.float32)
+    basis = fit_basis(motion, 0.05, max_modes=60)
+    left, values, right = np.linalg.svd(motion.reshape(500, -1), full_matrices=False)
+    best = left[:, : len(basis.modes)] * values[: len(basis.modes)] @ right[: len(basis.modes)]
+    away = np.linalg.norm(best.reshape(motion.shape) - motion, axis=2).max()
+    assert basis.worst_error <= 0.05 and basis.worst_error <= 1.05 * away + 1e-4
+    rebuilt = np.einsum("nk,kvd->nvd", basis.weights, basis.modes)
+    np.testing.assert_allclose(np.linalg.norm(rebuilt - motion, axis=2).max(), basis.worst_error, atol=1e-4)
+
+
+def test_a_motion_at_rest_needs_no_mode():
+    basis = fit_basis(np.zeros((10, 5, 3), np.float32), 0.01)
+    assert basis.modes.shape == (0, 5, 3) and basis.weights.shape == (10, 0) and basis.worst_error == 0.0
+
+
+def test_the_error_reveals_too_few_modes():
+    motion = np.random.default_rng(0).normal(size=(20, 30, 3)).astype(np.float32)
+    basis = fit_basis(motion, 1e-6, max_modes=3)
+    assert len(basis.modes) == 3 and basis.worst_error > 0.1
+
+
+def test_the_most_distinct_frames_show_each_expression_once():
+    poses = np.random.default_rng(1).normal(size=(4, 20, 3))
+    vertices = np.repeat(poses, 10, axis=0).astype(np.float32)
+    count = len(vertices)
+    eye = np.tile(np.eye(3), (count, 1, 1))
+    motion = HeadMotion(
+        np.arange(count) / 25.0, vertices, eye, np.zeros((count, 3)), eye, eye, np.zeros((count, N_ACTIONS))
+    )
+    assert (select_distinct_frames(motion, 4) // 10).tolist() == [0, 1, 2, 3]
+    assert len(select_distinct_frames(motion, 100)) == count

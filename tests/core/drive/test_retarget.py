@@ -1,0 +1,305 @@
+"""Calibration, retargeting, and driving of heads."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.eyes import _LASTING, _LIMIT, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
+from facemime.core.drive.retarget import _WIDENING_GAIN, Retargeter
+from facemime.core.errors import HeadError, SourceError
+from facemime.core.face.apertures import lid_gaps
+from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
+from facemime.core.face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.eyeballs import EyeballContact
+from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.takes.neutral import Neutral, calibrate
+from tests.helpers.takes import make_take
+
+ANGLES = st.floats(-1.2, 1.2)
+
+
+@pytest.fixture(scope="module")
+def rig() -> HeadRig:
+    """The built-in head."""
+    head = load_head()
+    return HeadRig(head.vertices, head.landmarks, head.regions, head.jaw_pivot)
+
+
+def performer(rig: HeadRig) -> np.ndarray:
+    """A narrower and longer face than the head's, in outer-eye distances."""
+    points = rig.vertices[rig.landmarks].astype(float)
+    unit = np.linalg.norm(points[from_ibug([36])] - points[from_ibug([45])])
+    return points / unit * (1.0, 1.15, 1.0)
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_euler_angles_survive_conversion_to_a_matrix_and_back(pitch, yaw, roll):
+    rotation = euler_to_matrix(pitch, yaw, roll)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(matrix_to_euler(rotation), (pitch, yaw, roll), atol=1e-9)
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_a_rotation_is_recovered_from_rotated_points(pitch, yaw, roll):
+    rotation = euler_to_matrix(pitch, yaw, roll)
+    points = np.random.default_rng(0).normal(size=(6, 3))
+    np.testing.assert_allclose(fit_rotation(points, points @ rotation.T), rotation, atol=1e-9)
+
+
+def test_the_neutral_face_moves_nothing(rig):
+    face = performer(rig)
+    retargeter = Retargeter(face, rig.vertices[rig.landmarks])
+    assert np.abs(retargeter.displacements(face)).max() == 0.0
+
+
+def test_a_performers_closed_eye_closes_the_heads(rig):
+    face = performer(rig)
+    closed = face.copy()
+    upper, lower = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
+    closed[upper, 1] = face[lower, 1]
+    points = rig.vertices[rig.landmarks]
+    moved = points + Retargeter(face, points).displacements(closed)
+    opening = (points[lower, 1] - points[upper, 1]).mean()
+    assert np.abs(moved[lower, 1] - moved[upper, 1]).max() < 0.1 * opening
+
+
+@given(st.floats(-0.2, 0.2), st.floats(0.5, 2.0), st.floats(0.5, 2.0))
+def test_a_shut_eye_shuts_both_pairs_of_lids_however_the_openings_of_the_two_eyes_are_shaped(uneven, outer, inner):
+    rig = built_in_head()
+    face, points = performer(rig), np.array(rig.vertices[rig.landmarks], dtype=float)
+    for pair, factor in zip(zip(UPPER_LIDS, LOWER_LIDS, strict=True), (outer, inner, inner, outer), strict=True):
+        points[pair[0], 1] += (1.0 - factor) * (points[pair[1], 1] - points[pair[0], 1])
+    shut, gaps = face.copy(), face[LOWER_LIDS, 1] - face[UPPER_LIDS, 1]
+    shut[UPPER_LIDS, 1] = face[LOWER_LIDS, 1] - uneven * np.array([1.0, -1.0, 1.0, -1.0]) * gaps.mean()
+    moved = points + Retargeter(face, points, compensate=True).displacements(shut)
+    eyes = np.repeat(lid_gaps(shut).reshape(2, 2).mean(axis=1) / lid_gaps(face).reshape(2, 2).mean(axis=1), 2)
+    np.testing.assert_allclose(lid_gaps(moved), np.maximum(eyes, 0.0) * lid_gaps(points), atol=0.003 * rig.eye_distance)
+
+
+@given(st.floats(0.05, 2.0))
+def test_the_heads_eyes_are_open_by_the_same_share_as_the_performers(share):
+    rig = built_in_head()
+    face, points = performer(rig), np.array(rig.vertices[rig.landmarks], dtype=float)
+    current = face.copy()
+    current[UPPER_LIDS, 1] = face[LOWER_LIDS, 1] - share * (face[LOWER_LIDS, 1] - face[UPPER_LIDS, 1])
+    moved = points + Retargeter(face, points).displacements(current)
+    np.testing.assert_allclose(lid_gaps(moved) / lid_gaps(points), share, rtol=0.02, atol=0.005)
+
+
+@settings(max_examples=40)
+@given(st.integers(0, 10_000))
+def test_lids_and_lips_meet_but_never_cross(rig, seed):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    rng = np.random.default_rng(seed)
+    moved = points + Retargeter(face, points).displacements(face + rng.normal(0.0, 0.1, face.shape))
+    for upper, lower in (((37, 38, 43, 44), (41, 40, 47, 46)), ((61, 62, 63), (67, 66, 65))):
+        u, low = from_ibug(upper), from_ibug(lower)
+        crossed_at_rest = np.maximum(points[u, 1] - points[low, 1], 0.0)
+        assert (moved[u, 1] - moved[low, 1] <= crossed_at_rest + 1e-9).all()
+
+
+def test_a_closing_lid_rolls_over_the_eyeball(rig):
+    rng = np.random.default_rng(0)
+    skin = rng.normal(size=(500, 3))
+    skin *= (rng.uniform(1.0, 1.3, 500) / np.linalg.norm(skin, axis=1))[:, None]
+    contact = EyeballContact(skin, np.ones(500), np.array([[0.0, 0.0, 0.0, 1.1]]))
+    moved = (skin * 0.8).astype(np.float32)
+    contact.resolve(moved)
+    distance, rest = np.linalg.norm(moved, axis=1), np.linalg.norm(skin, axis=1)
+    assert (distance >= np.minimum(rest, 1.1) - 1e-5).all()
+    np.testing.assert_allclose(moved / distance[:, None], skin / rest[:, None], atol=1e-5)
+
+
+def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(rig):
+    face = performer(rig)
+    upper, lower = from_ibug((37, 38, 43, 44)), from_ibug((41, 40, 47, 46))
+    shapes = np.tile(face, (100, 1, 1))
+    shapes[60:64, upper, 1] += 0.75 * (face[lower, 1] - face[upper, 1])
+    neutral = calibrate(make_take(shapes), start=0.0)
+    assert abs(neutral.shut - 0.25) < 0.02
+    points = rig.vertices[rig.landmarks]
+    driver = HeadDriver(rig, neutral)
+    moved = points + driver.retargeter.displacements(shapes[61])
+    opening = (points[lower, 1] - points[upper, 1]).mean()
+    assert np.abs(moved[lower, 1] - moved[upper, 1]).max() < 0.15 * opening
+    assert calibrate(make_take(shapes[:50]), start=0.0).shut == 0.0
+
+
+def test_eyes_that_open_wider_than_at_rest_are_compensated_and_shut_ones_are_not(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    wide, shut = face.copy(), face.copy()
+    wide[UPPER_LIDS, 1] -= 0.03
+    shut[UPPER_LIDS, 1] = face[LOWER_LIDS, 1]
+    plain, more = (Retargeter(face, points, compensate=compensate) for compensate in (False, True))
+    lifted = more.displacements(wide)[UPPER_LIDS, 1] / plain.displacements(wide)[UPPER_LIDS, 1]
+    np.testing.assert_allclose(lifted, _WIDENING_GAIN, atol=0.02)
+    np.testing.assert_allclose(more.displacements(shut)[UPPER_LIDS], plain.displacements(shut)[UPPER_LIDS], atol=1e-5)
+
+
+def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    other = face + np.random.default_rng(1).normal(0.0, 0.05, face.shape)
+    full = Retargeter(face, points).displacements(other)
+    planar = Retargeter(face, points, mode="planar").displacements(other)
+    np.testing.assert_array_equal(planar[:, 2], 0.0)
+    np.testing.assert_allclose(planar[:, :2], full[:, :2])
+    half = Retargeter(face, points, strength=(1.0, 1.0, 0.5)).displacements(other)
+    chin, brows = from_ibug(range(5, 12)), from_ibug(range(17, 27))
+    np.testing.assert_allclose(half[chin], 0.5 * full[chin])
+    np.testing.assert_allclose(half[brows], full[brows])
+
+
+def test_a_wide_mouth_on_a_narrow_face_opens_as_far_relative_to_the_face(rig):
+    points = rig.vertices[rig.landmarks]
+    face = performer(rig)
+    other = face + np.random.default_rng(2).normal(0.0, 0.05, face.shape)
+    lower = from_ibug([57])
+    once = Retargeter(face, points).displacements(other)[lower]
+    twice = Retargeter(face, points * (1.0, 2.0, 1.0)).displacements(other)[lower]
+    np.testing.assert_allclose(twice[:, 1], 2 * once[:, 1], rtol=1e-6)
+    np.testing.assert_allclose(twice[:, 0], once[:, 0], rtol=1e-6)
+
+
+def test_the_jaw_turns_with_the_chin_and_the_head_with_the_pose(rig):
+    face = performer(rig)
+    neutral = Neutral(face, np.eye(3), np.array([100.0, 320.0, 240.0]), 0.0, 1.0)
+    driver = HeadDriver(rig, neutral)
+    take = make_take(face[None])
+    rest = driver.frame(take.result(0))
+    np.testing.assert_allclose(rest.jaw, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(rest.vertices, rig.vertices, atol=1e-6)
+    opened = face.copy()
+    opened[from_ibug([*range(4, 13), *range(55, 60), *range(65, 68)]), 1] += 0.2
+    take.pose[0, 1:4] = (0.1, 0.2, 0.05)
+    frame = driver.frame(make_take(opened[None]).result(0))
+    assert matrix_to_euler(frame.jaw)[0] > 0.05
+    turned = driver.frame(take.result(0))
+    np.testing.assert_allclose(matrix_to_euler(turned.rotation), (0.1, 0.2, 0.05), atol=1e-9)
+
+
+@settings(max_examples=50)
+@given(st.floats(-0.1, 0.1), st.floats(-0.35, 0.35))
+def test_eyes_stay_on_the_viewer_while_the_head_turns_a_little(pitch, yaw):
+    rotation = euler_to_matrix(pitch, yaw, 0.0)
+    forward = rotation @ gaze_at_viewer(rotation) @ np.array([0.0, 0.0, -1.0])
+    assert forward @ np.array([0.0, 0.0, -1.0]) > np.cos(np.radians(4.0))
+
+
+def test_eyes_turn_by_the_gaze_relative_to_the_usual_one(rig):
+    face = performer(rig)
+    gaze = np.tile([0.05, -0.1], (60, 1))
+    gaze[50:] += (0.0, 0.2)
+    neutral = calibrate(make_take(np.tile(face, (60, 1, 1)), gaze=gaze))
+    np.testing.assert_allclose(neutral.gaze, (0.05, -0.1), atol=0.002)
+    eyes = EyeDriver(gaze[0])
+    for eye in eyes.rotations(gaze[0], np.nan, np.eye(3)):
+        np.testing.assert_allclose(eye, np.eye(3), atol=1e-9)
+    for eye in eyes.rotations(gaze[55], np.nan, np.eye(3)):
+        np.testing.assert_allclose(matrix_to_euler(eye), (0.0, 0.2, 0.0), atol=1e-9)
+
+
+def usual_gaze(rig, gaze, pose=None, start=None) -> np.ndarray:
+    return calibrate(make_take(np.tile(performer(rig), (len(gaze), 1, 1)), gaze=gaze, pose=pose), start).gaze
+
+
+def test_the_usual_gaze_is_the_most_frequent_one_even_if_the_performer_mostly_looks_elsewhere(rig):
+    camera, elsewhere = (0.05, -0.1), np.random.default_rng(1).uniform((0.2, -0.4), (0.6, 0.4), (70, 2))
+    gaze = np.vstack([np.tile(camera, (30, 1)), elsewhere])
+    gaze[::9] = np.nan
+    np.testing.assert_allclose(usual_gaze(rig, gaze), camera, atol=0.02)
+
+
+def test_who_looks_at_the_camera_with_a_turning_head_has_a_constant_usual_gaze(rig):
+    bias, turns = np.array([0.03, 0.06]), np.random.default_rng(2).uniform(-0.4, 0.4, (60, 3)) * (1.0, 1.0, 0.2)
+    turns -= np.median(turns, axis=0)
+    heads = [euler_to_matrix(*turn) for turn in turns]
+    gaze = np.array([matrix_to_euler(head.T)[:2] for head in heads]) + bias
+    pose = np.column_stack([np.full(60, 100.0), turns, np.full((60, 2), 200.0)])
+    np.testing.assert_allclose(usual_gaze(rig, gaze, pose), bias, atol=1e-6)
+    turns[:] = turns[0]
+    gaze[:] = gaze[0]
+    pose[:] = pose[0]
+    np.testing.assert_allclose(usual_gaze(rig, gaze, pose, 0.0), gaze[0], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pitch", "gaze", "straight"),
+    [(0.1, -0.1, 0.1), (-0.1, 0.06, -0.06), (0.1, 0.1, 0.0), (0.1, -0.2, 0.1), (0.4, -0.4, 0.18)],
+)
+def test_a_head_whose_usual_pitch_the_eyes_are_turned_against_faces_the_camera(rig, pitch, gaze, straight):
+    pose = np.tile([100.0, pitch, 0.1, 0.0, 320.0, 240.0], (40, 1))
+    take = make_take(np.tile(performer(rig), (40, 1, 1)), gaze=np.tile((gaze, -0.1), (40, 1)), pose=pose)
+    np.testing.assert_allclose(matrix_to_euler(calibrate(take).rotation), (straight, 0.0, 0.0), atol=0.003)
+
+
+def test_the_eyes_of_who_faces_a_screen_beside_the_camera_are_straight(rig):
+    pose = np.tile([100.0, 0.4, 0.45, 0.0, 320.0, 240.0], (40, 1))
+    take = make_take(np.tile(performer(rig), (40, 1, 1)), gaze=np.tile((0.0, 0.0), (40, 1)), pose=pose)
+    neutral = calibrate(take)
+    np.testing.assert_allclose(neutral.gaze, 0.0, atol=0.03)
+    np.testing.assert_allclose(neutral.rotation, np.eye(3), atol=0.03)
+
+
+def test_an_impossible_usual_gaze_is_limited(rig):
+    np.testing.assert_allclose(usual_gaze(rig, np.tile((-0.5, 0.6), (40, 1))), (-0.18, 0.18), atol=1e-6)
+
+
+def test_eyes_cross_by_the_excess_of_their_vergence_over_the_usual_one():
+    eyes = EyeDriver(np.zeros(2), 0.1)
+    for vergence, turned in ((0.1, 0.0), (0.12, 0.0), (0.1 + _PARALLEL + 0.2, 0.1), (0.1 - _PARALLEL - 0.2, -0.1)):
+        for _ in range(_LASTING):
+            right, left = eyes.rotations(np.zeros(2), vergence, np.eye(3))
+        np.testing.assert_allclose(matrix_to_euler(right), (0.0, -turned, 0.0), atol=1e-9)
+        np.testing.assert_allclose(matrix_to_euler(left), (0.0, turned, 0.0), atol=1e-9)
+
+
+def test_a_pupil_that_is_misplaced_in_one_frame_does_not_cross_the_eyes():
+    eyes = EyeDriver(np.zeros(2), 0.0)
+    for vergence in (0.0, 0.6, 0.0, -0.6, 0.6):
+        for eye in eyes.rotations(np.zeros(2), vergence, np.eye(3)):
+            np.testing.assert_array_equal(eye, np.eye(3))
+
+
+def test_eyes_turn_within_their_limits_and_stay_while_shut():
+    eyes = EyeDriver(np.zeros(2))
+    far = eyes.rotations(np.array([1.0, -1.0]), np.nan, np.eye(3))
+    for eye in far:
+        np.testing.assert_allclose(matrix_to_euler(eye), np.radians([7.0, -22.0, 0.0]), atol=1e-9)
+    np.testing.assert_allclose(eyes.rotations(np.full(2, np.nan), np.nan, np.eye(3)), far)
+
+
+def test_without_a_known_gaze_eyes_stay_on_the_viewer(rig):
+    face = performer(rig)
+    neutral = calibrate(make_take(np.tile(face, (60, 1, 1))))
+    assert np.isnan(neutral.gaze).all()
+    head = euler_to_matrix(0.05, 0.2, 0.0)
+    for eye in EyeDriver(neutral.gaze).rotations(np.full(2, np.nan), np.nan, head):
+        np.testing.assert_allclose(eye, gaze_at_viewer(head))
+
+
+def test_a_rig_whose_landmarks_do_not_fit_the_mesh_is_refused(rig):
+    with pytest.raises(HeadError, match="no longer exist"):
+        HeadRig(rig.vertices[:100], rig.landmarks, rig.region_weights[:, :100], rig.jaw_pivot)
+
+
+def test_flat_performers_and_flat_heads_have_different_errors():
+    head = load_head()
+    landmarks = head.vertices[head.landmarks].astype(float)
+    flat = landmarks * (1.0, 0.0, 1.0)
+    with pytest.raises(SourceError, match="Choose another neutral"):
+        Retargeter(flat, landmarks)
+    with pytest.raises(HeadError, match="Bind them"):
+        Retargeter(landmarks, flat)
+
+
+def test_an_eye_that_turns_about_a_far_point_turns_less_so_that_its_iris_stays_between_the_lids():
+    corners = np.array([[-0.5, 0.0, 0.0], [-0.18, 0.0, 0.0]])
+    middle, half_width = corners.mean(axis=0), 0.16
+    assert eye_strength(middle + [0.0, 0.0, 0.13], corners) == 1.0
+    far = eye_strength(middle + [0.1, 0.0, 0.5], corners)
+    moved = np.hypot(0.1, 0.5) * np.sin(far * _LIMIT[1])
+    assert 0.45 * half_width < moved < 0.52 * half_width
+    assert eye_strength(middle, corners) == 1.0

@@ -1,0 +1,366 @@
+"""Parts of a character: pieces of meshes, their assignment by name and place, bones, and motion with the skin."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from facemime.core.deform.glue import Glue
+from facemime.core.deform.head_deformer import head_deformer
+from facemime.core.deform.lid_rims import lid_rims
+from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.parts import PartDriver
+from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
+from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.heads.bones import FaceBones, find_bones
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
+from facemime.core.heads.part_names import named_part, names_body, names_skin
+from facemime.core.heads.parts import FaceParts, Part, skin_of
+from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.heads.sorting import Piece, lower_row, sort_pieces
+from facemime.core.mesh.pieces import border_twins, islands
+from facemime.core.takes.neutral import calibrate
+from tests.helpers.parted_heads import KINDS, with_parts
+from tests.helpers.takes import performance
+
+ANGLES = st.floats(-1.2, 1.2)
+
+
+def split_at(vertices: np.ndarray, faces: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Split a mesh between faces (F,) with and without `side`; also return the original of each vertex."""
+    shared = np.intersect1d(faces[side & (faces >= 0).all(axis=1)], faces[~side & (faces >= 0).all(axis=1)])
+    copies = np.arange(len(vertices))
+    copies[shared] = len(vertices) + np.arange(len(shared))
+    parted = np.where(side[:, None] & (faces >= 0), copies[faces], faces)
+    return np.concatenate([vertices, vertices[shared]]), parted, np.append(np.arange(len(vertices)), shared)
+
+
+def split_rig() -> tuple[HeadRig, np.ndarray]:
+    """The built-in head with texture seams down the middle and across, and the original of each vertex."""
+    rig = built_in_head()
+    middle = rig.vertices[rig.faces[:, :3]].mean(axis=1)
+    vertices, faces, first = split_at(rig.vertices, rig.faces, middle[:, 0] + 0.3 * middle[:, 1] > 0.0)
+    return replace(rig, vertices=vertices, faces=faces, region_weights=rig.region_weights[:, first]), first
+
+
+def test_a_mesh_is_divided_into_the_pieces_it_was_made_of():
+    one = np.array([[0, 1, 2, -1], [1, 2, 3, -1]])
+    faces = np.concatenate([one, np.array([[4, 5, 6, 7]]), one[:0]])
+    np.testing.assert_array_equal(islands(9, faces), [0, 0, 0, 0, 1, 1, 1, 1, 2])
+
+
+@given(st.lists(st.tuples(st.integers(0, 40), st.integers(0, 40), st.integers(0, 40)), min_size=1, max_size=40))
+def test_vertices_are_in_one_piece_if_and_only_if_a_chain_of_faces_joins_them(triangles):
+    number = islands(41, np.array(triangles))
+    label = list(range(41))
+    for _ in range(41):
+        for face in triangles:
+            low = min(label[v] for v in face)
+            for v in face:
+                label[v] = low
+    same = np.equal.outer(label, label)
+    np.testing.assert_array_equal(np.equal.outer(number, number), same)
+
+
+def test_a_seam_of_the_texture_is_closed_and_the_skin_moves_as_without_it():
+    take = performance()
+    neutral = calibrate(take)
+    rig, first = split_rig()
+    assert len(rig.vertices) > len(built_in_head().vertices) + 20
+    skin = skin_of(rig.vertices, rig.faces, None, rig.landmarks)
+    assert len(skin.kept) == len(built_in_head().vertices)
+    whole, split = HeadDriver(built_in_head(), neutral), HeadDriver(rig, neutral)
+    unit = rig.eye_distance
+    for index in np.flatnonzero(take.found)[::20]:
+        result = take.result(index)
+        off = split.frame(result).vertices - whole.frame(result).vertices[first]
+        assert np.abs(off).max() < 1e-4 * unit
+
+
+def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
+    head = load_head()
+    points = head.vertices[head.landmarks][:, :2] / built_in_head().eye_distance
+    across, down = np.arange(-1.0, 1.0, 0.02), np.arange(-0.6, 1.6, 0.02)
+    grid = np.stack([*np.meshgrid(across, down), np.zeros((len(down), len(across)))], axis=-1).reshape(-1, 3)
+    number = np.arange(len(grid)).reshape(len(down), len(across))
+    faces = np.stack([number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]], axis=-1).reshape(-1, 4)
+    landmarks = np.array([np.linalg.norm(grid[:, :2] - point, axis=1).argmin() for point in points])
+    row = grid[landmarks[LIPS], 1].mean().round(2)
+    slit = np.flatnonzero((np.abs(grid[:, 1] - row) < 0.011) & (np.abs(grid[:, 0]) < 0.2))
+    slit = slit[grid[slit, 1] == grid[slit, 1].min()]
+    copies = np.arange(len(grid))
+    copies[slit] = len(grid) + np.arange(len(slit))
+    below = grid[faces, 1].mean(axis=1) > grid[slit[0], 1]
+    cut = np.where(below[:, None], copies[faces], faces)
+    vertices = np.concatenate([grid, grid[slit]])
+    assert len(skin_of(vertices, cut).kept) == len(grid)
+    assert len(skin_of(vertices, cut, None, landmarks).kept) == len(vertices)
+
+
+def test_layers_that_touch_inside_a_mesh_are_not_joined():
+    rig = built_in_head()
+    doubled = np.concatenate([rig.vertices, rig.vertices])
+    faces = np.concatenate([rig.faces, np.where(rig.faces >= 0, rig.faces + len(rig.vertices), -1)])
+    inside = np.setdiff1d(
+        np.arange(len(doubled)), np.flatnonzero(border_twins(doubled, faces) != np.arange(len(doubled)))
+    )
+    assert len(inside) > 0.9 * len(doubled)
+
+
+@pytest.mark.parametrize(
+    ("name", "part"),
+    [
+        ("Wolf3D_Teeth", Part.TEETH_UPPER),
+        ("Human.eyelashes01", Part.ON_SKIN),
+        ("CC_Base_EyeOcclusion", Part.ON_SKIN),
+        ("N00_000_00_FaceBrow_00_FACE (Instance)", Part.ON_SKIN),
+        ("N00_000_00_EyeIris_00_EYE (Instance)", Part.EYE_LEFT),
+        ("teeth_lower_mesh", Part.TEETH_LOWER),
+        ("Tongue", Part.TEETH_LOWER),
+        ("Wolf3D_Glasses", Part.ON_HEAD),
+        ("EyeGlasses", Part.ON_HEAD),
+        ("Hair_01", Part.ON_HEAD),
+        ("Wolf3D_Head", None),
+        ("Wolf3D_Skin", None),
+        ("Eyelid", None),
+        ("Handle", None),
+        ("Material.001", None),
+        ("eye_brown", Part.EYE_LEFT),
+        ("Mustache", Part.ON_SKIN),
+        ("eyelashmesh", Part.ON_SKIN),
+        ("EyeSocket", None),
+        ("Chair", None),
+        ("Splash", None),
+        ("Thorns", None),
+        ("Irish Setter", None),
+        ("まつ毛", Part.ON_SKIN),
+        ("眼鏡", Part.ON_HEAD),
+        ("白目", Part.EYE_LEFT),
+        ("白目の影", Part.ON_SKIN),
+        ("eyeshell_lod0_mesh", Part.ON_SKIN),
+        ("cartilage_lod0_mesh", Part.ON_SKIN),
+        ("afro01", Part.ON_HEAD),
+        ("short04", None),
+    ],
+)
+def test_parts_are_recognised_by_name(name, part):
+    assert named_part([name]) == part
+
+
+def test_the_most_telling_name_decides():
+    assert named_part(["Std_Eyelash", "CC_Base_Body"]) == Part.ON_SKIN
+    assert named_part(["Hair", "Eyebrows"]) == named_part(["Eyebrows", "Hair"]) == Part.ON_SKIN
+    assert named_part(["Glass", "Eye_L"]) == Part.EYE_LEFT
+    assert named_part(["Hair", "Head_Hair_Eyes_Brows"]) == Part.ON_HEAD, "a name of several parts tells nothing"
+    assert named_part(["Material", "LowerJawTeeth"]) == Part.TEETH_LOWER
+    assert names_skin("Wolf3D_Head") and not names_skin("HeadBand") and names_body("Wolf3D_Outfit_Top")
+    assert not names_skin("F00_001_01_Body_00_SKIN") and not names_skin("Std_Skin_Arm") and names_skin("Std_Skin_Head")
+    assert names_body("スカート") and not names_body("short04") and names_body("Std_Skin_Leg")
+    assert not names_body("Cube.001") and not names_body("Body_Skin_Head") and not names_body("Eye Socket")
+    assert not names_skin("Water Surface") and not names_skin("Forehead Wrap") and names_skin("顔")
+
+
+@pytest.mark.parametrize(
+    ("names", "wanted"),
+    [
+        (["mixamorig:Neck", "mixamorig:Head", "mixamorig:HeadTop_End", "mixamorig:LeftEye", "mixamorig:RightEye"],) * 2,
+        (["Neck", "Head", "HeadTop_End", "LeftEye", "RightEye"],) * 2,
+        (["J_Bip_C_Neck", "J_Bip_C_Head", "", "J_Adj_L_FaceEye", "J_Adj_R_FaceEye"],) * 2,
+        (["neck.x", "c_head.x", "", "c_eye.l", "c_eye.r"],) * 2,
+        (["neck", "head", "", "master_eye.L", "master_eye.R"],) * 2,
+        (["neck_01", "head", "", "FACIAL_L_Eye", "FACIAL_R_Eye"],) * 2,
+        (["CC_Base_NeckTwist01", "CC_Base_Head", "", "CC_Base_L_Eye", "CC_Base_R_Eye"],) * 2,
+        (["Bip01 Neck", "Bip01 Head", "", "lEye", "rEye"],) * 2,
+        (["neck03", "head", "", "eye.L", "eye.R"],) * 2,
+    ],
+)
+def test_the_bones_of_common_rigs_are_found(names, wanted):
+    bones = find_bones([name for name in names if name], {})
+    assert (bones.head, bones.eye_left, bones.eye_right) == (wanted[1], wanted[3], wanted[4])
+
+
+def test_a_rig_without_names_gives_the_bone_that_moves_most_of_the_face():
+    assert find_bones(["Bone", "Bone.001"], {"Bone": 3.0, "Bone.001": 40.0}) == FaceBones(head="Bone.001")
+    assert find_bones(["LeftHand", "Spine"], {}) == FaceBones()
+
+
+def test_parts_without_names_are_sorted_by_their_places():
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    pieces = [Piece(head.vertices, ("", "Object"), skin=True)]
+    inside = [part for part in head.parts if part.name in KINDS]
+    pieces += [Piece(part.vertices, ("", f"Object.{i}"), away=0.3) for i, part in enumerate(inside)]
+    assert sort_pieces(pieces, points) == [Part.SKIN, *(KINDS[part.name] for part in inside)]
+
+
+def test_teeth_and_tongue_that_are_named_like_the_wall_of_the_mouth_are_found_by_their_places():
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    wall = points[LIPS] + (0.0, 0.0, 0.02)
+    names = ("N00_000_00_FaceMouth_00_FACE", "Face")
+    pieces = [Piece(head.vertices, ("", "Face"), skin=True), Piece(wall, names, joined=True)]
+    inside = [part for part in head.parts if part.name in ("teeth_upper", "teeth_lower", "tongue")]
+    pieces += [Piece(part.vertices, names, away=0.3) for part in inside]
+    assert sort_pieces(pieces, points) == [Part.SKIN, Part.ON_SKIN, *(KINDS[part.name] for part in inside)]
+
+
+def test_a_piece_close_to_moving_skin_rides_on_it_and_one_on_the_skull_rides_on_the_head():
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    brow = points[17:22] - (0.0, 0.0, 0.002)
+    pieces = [Piece(brow, ("", "a"), away=0.03), Piece(brow, ("", "b"), away=0.03, moving=False)]
+    assert sort_pieces([*pieces, Piece(brow - 0.1, ("", "c"), away=0.5)], points) == [
+        Part.ON_SKIN,
+        Part.ON_HEAD,
+        Part.ON_HEAD,
+    ]
+
+
+def test_gums_joined_to_a_tongue_are_divided_where_they_grow():
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    unit, slit = outer_eye_distance(points), points[LIPS].mean(axis=0)
+    tongue = -0.05  # above the slit of the mouth
+    profile = [
+        (-0.3, 0.1),
+        (-0.25, 0.1),
+        (-0.2, 0.7),
+        (tongue, 0.6),
+        (tongue, 0.2),
+        (0.1, 0.25),
+        (0.25, 0.15),
+        (0.3, 0.15),
+    ]
+    across = np.linspace(-0.25, 0.25, 9)
+    places = np.array([(x, slit[1] / unit + y, slit[2] / unit + z) for y, z in profile for x in across]) * unit
+    row = np.arange(len(places)).reshape(len(profile), 9)
+    faces = np.stack([row[:-1, :-1], row[:-1, 1:], row[1:, 1:], row[1:, :-1]], axis=-1).reshape(-1, 4)
+    lower = lower_row(places, faces, points).reshape(row.shape)
+    assert not lower[:2].any() and lower[4:].all()
+    teeth = [Piece(places[row[rows].ravel()], ("", "tooth")) for rows in ([0, 1], [6, 7])]
+    gums = Piece(places, ("", "piece"))
+    assert sort_pieces([*teeth, gums], points) == [Part.TEETH_UPPER, Part.TEETH_LOWER, None]
+
+
+@pytest.mark.parametrize("side", [EYE_RIGHT, EYE_LEFT])
+def test_lashes_and_films_of_tears_are_not_eyes_but_ride_on_the_lids(side):
+    head = load_head()
+    points = head.vertices[head.landmarks].astype(np.float64)
+    rim, width = points[side], float(np.ptp(points[side][:, 0]))
+    middle = rim.mean(axis=0)
+    lashes = np.concatenate([rim, middle + 1.3 * (rim - middle) - (0.0, 0.0, 0.2 * width)])
+    tears = np.concatenate([rim, middle + 0.7 * (rim - middle) - (0.0, 0.0, 0.05 * width)])
+    iris = middle + 0.15 * width * np.array([(np.cos(a), np.sin(a), 0.0) for a in np.linspace(0.0, 6.0, 12)])
+    grid = np.linspace(0.1, np.pi - 0.1, 9)
+    ball = np.array([(np.sin(a) * np.cos(2 * b), np.cos(a), np.sin(a) * np.sin(2 * b)) for a in grid for b in grid])
+    ball = middle + (0.0, 0.0, 0.35 * width) + 0.45 * width * ball
+    front = ball[ball[:, 2] < middle[2] + 0.35 * width]
+    pieces = [Piece(places, ("", "Object"), away=0.05) for places in (lashes, tears, iris, ball, front)]
+    eye = Part.EYE_RIGHT if side is EYE_RIGHT else Part.EYE_LEFT
+    assert sort_pieces(pieces, points) == [Part.ON_SKIN, Part.ON_SKIN, eye, eye, eye]
+
+
+@given(ANGLES, ANGLES, ANGLES)
+def test_parts_on_rigidly_moving_skin_move_with_it(pitch, yaw, roll):
+    rng = np.random.default_rng(3)
+    skin = rng.uniform(-1.0, 1.0, (60, 3))
+    points = rng.uniform(-1.0, 1.0, (12, 3)) * 1.5
+    turn = euler_to_matrix(pitch / 3, yaw / 3, roll / 3)
+    moved = skin @ turn.T + (0.3, -0.2, 0.1)
+    glue = Glue(points, np.arange(12), skin, np.zeros(60, dtype=int), 1.0)
+    expected = points @ turn.T + (0.3, -0.2, 0.1)
+    size = np.linalg.norm(points, axis=1).max()
+    assert np.abs(glue.move((moved - skin).astype(np.float32)) - expected).max() < 0.2 * size
+
+
+def test_a_lash_is_held_by_the_side_on_which_it_is_rooted():
+    skin = np.array([[x, y, 0.0] for y in (0.0, 0.1) for x in np.linspace(0.0, 1.0, 20)])
+    sides = (skin[:, 1] > 0.05).astype(int)
+    lash = np.array([[0.5, 0.03, 0.0], [0.5, 0.03, -0.2]])
+    glue = Glue(lash, np.array([0, 0]), skin, sides, 1.0)
+    displacements = np.zeros((40, 3), dtype=np.float32)
+    displacements[sides == 1, 1] = 1.0
+    np.testing.assert_allclose(glue.move(displacements), lash, atol=1e-6)
+
+
+def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
+    rig, height = built_in_head(), 0.06
+    eye, *_ = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
+    rim = np.asarray(rig.vertices)[eye.upper[1:-1]]
+    above = np.array([0.0, -height, 0.0]) * rig.eye_distance
+    near = np.linalg.norm(np.asarray(rig.vertices)[:, None] - (rim + above), axis=2).argmin(axis=0)
+    line = np.concatenate([rim, rim + above + (0.0, 0.0, 1.0) * (np.asarray(rig.vertices)[near] - rim - above)])
+    start, n = len(rig.vertices), len(rim)
+    faces = start + np.array([[i, i + 1, n + i + 1, n + i] for i in range(n - 1)])
+    kinds = np.append(np.zeros(start, dtype=np.int8), np.full(len(line), Part.ON_SKIN, dtype=np.int8))
+    lashed = replace(rig, parts=FaceParts(kinds, line.astype(np.float32), faces))
+    alone, skin = lashed.skin()
+    points, shutting = np.asarray(rig.vertices)[rig.landmarks], np.zeros((66, 3))
+    shutting[UPPER_LIDS] = points[LOWER_LIDS] - points[UPPER_LIDS]
+    shut = head_deformer(alone).deform(shutting)
+    moved = PartDriver(lashed, skin, alone).pose(shut, np.eye(3), np.tile(np.eye(3), (2, 1, 1)))
+    fallen = np.linalg.norm((moved - lashed.all_vertices)[eye.upper[1:-1]], axis=1) / rig.eye_distance
+    assert fallen.max() > 0.05
+    before, width = (np.linalg.norm(at[-n:] - at[-2 * n : -n], axis=1) for at in (lashed.all_vertices, moved))
+    np.testing.assert_allclose(width, before, rtol=0.15)
+
+
+@given(st.floats(0.5, 2.0), st.integers(0, 100))
+def test_the_sphere_of_an_eye_is_found_in_spite_of_its_cornea(radius, seed):
+    rng = np.random.default_rng(seed)
+    ways = rng.normal(size=(300, 3))
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    ways = ways[ways[:, 2] < 0.3]
+    bulge = 1.0 + 0.12 * np.clip((-ways[:, 2] - 0.9) / 0.1, 0.0, 1.0)
+    eye = radius * ways * bulge[:, None] + (1.0, 2.0, 3.0)
+    sphere, is_round = part_eyeball(eye)
+    assert is_round
+    np.testing.assert_allclose(sphere, [1.0, 2.0, 3.0, radius], atol=0.03 * radius)
+    around = sphere_of_lids(eye)
+    np.testing.assert_allclose(around, [1.0, 2.0, 3.0, radius * bulge.max()], atol=0.05 * radius)
+    assert (np.linalg.norm(eye - around[:3], axis=1) < around[3] * (1.0 + 1e-9)).all(), "the lids pass over the cornea"
+
+
+def test_a_flat_eye_is_not_taken_for_a_sphere():
+    disc = np.array([[np.cos(a) * r, np.sin(a) * r, 0.0] for a in np.linspace(0, 6, 30) for r in (0.3, 0.7, 1.0)])
+    sphere, is_round = part_eyeball(disc)
+    assert not is_round and sphere_of_lids(disc) is None
+    assert sphere[2] > 0.5
+
+
+def test_eyes_turn_about_their_centres_lower_teeth_follow_the_jaw_and_upper_ones_stay():
+    take, rig = performance(), with_parts()
+    driver = HeadDriver(rig, calibrate(take))
+    frame = max((driver.frame(take.result(i)) for i in np.flatnonzero(take.found)[::5]), key=lambda f: abs(f.jaw[1, 2]))
+    rest, kinds = rig.all_vertices, rig.kinds
+    assert frame.vertices.shape == rest.shape
+    np.testing.assert_array_equal(frame.vertices[kinds == Part.TEETH_UPPER], rest[kinds == Part.TEETH_UPPER])
+    lower = kinds == Part.TEETH_LOWER
+    expected = rig.jaw_pivot + (rest[lower] - rig.jaw_pivot) @ frame.jaw.T
+    np.testing.assert_allclose(frame.vertices[lower], expected, atol=1e-6)
+    for side, kind in enumerate((Part.EYE_RIGHT, Part.EYE_LEFT)):
+        centre = part_eyeball(rest[kinds == kind])[0][:3]
+        turned = centre + (rest[kinds == kind] - centre) @ frame.gaze[side].T
+        np.testing.assert_allclose(frame.vertices[kinds == kind], turned, atol=1e-6)
+    first = int(np.flatnonzero(take.found)[0])
+    plain = HeadDriver(built_in_head(), calibrate(take)).frame(take.result(first))
+    np.testing.assert_allclose(
+        driver.frame(take.result(first)).vertices[: len(plain.vertices)], plain.vertices, atol=1e-6
+    )
+
+
+def test_each_hair_of_a_brow_and_each_lash_keeps_its_shape_while_the_skin_stretches():
+    head, rig = load_head(), built_in_head(lashes=True)
+    alone, skin = rig.skin()
+    driver = PartDriver(rig, skin, alone)
+    unit = head.units[head.unit_names.index("browDownLeft")] + head.units[head.unit_names.index("eyeBlinkLeft")]
+    moved = driver.pose(head.vertices + unit, np.eye(3), np.stack([np.eye(3)] * 2))
+    faces = rig.parts.faces[:, :3]
+    before, after = (
+        np.linalg.norm(points[faces[:, 0]] - points[faces[:, 1:].T], axis=2) for points in (driver.rest, moved)
+    )
+    assert np.linalg.norm((moved - driver.rest)[faces], axis=2).max() > 0.005
+    assert np.abs(after - before).max() < 0.0002

@@ -1,0 +1,160 @@
+"""The neutral face of a take is found where the performer rests, and estimated otherwise."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from facemime.core.errors import SourceError
+from facemime.core.face.apertures import eye_apertures, mouth_aperture
+from facemime.core.face.landmarks import BROWS, MIRROR, MOUTH_CORNERS, from_ibug
+from facemime.core.takes.face_space import FaceSpace, load_face_space, without_similarity
+from facemime.core.takes.neutral import Neutral, calibrate
+from tests.helpers.takes import make_take
+
+LOWER_INNER, UPPER_LIDS = from_ibug(range(65, 68)), from_ibug((37, 38, 43, 44))
+FLIP = np.array([-1.0, 1.0, 1.0])
+
+
+@pytest.fixture(scope="module")
+def space() -> FaceSpace:
+    return load_face_space()
+
+
+def somebody(space: FaceSpace, seed: int) -> np.ndarray:
+    """A random person's neutral face, (66, 3)."""
+    weights = np.random.default_rng(seed).normal(size=len(space.identity))
+    return np.asarray(space.mean + np.tensordot(weights, space.identity, 1))
+
+
+def acting(face: np.ndarray, space: FaceSpace, seed: int, frames: int, restless: float = 0.0) -> np.ndarray:
+    """Shapes (frames, 66, 3) with two expressions at a time that come and go, and at least `restless` of one always."""
+    rng = np.random.default_rng(seed)
+    shapes = np.tile(face, (frames, 1, 1)) + rng.normal(0.0, 0.003, (frames, *face.shape))
+    for first in range(0, frames, 20):
+        some = slice(first, first + 20)
+        curve = np.maximum(restless, np.sin(np.linspace(0.0, np.pi, len(shapes[some]))))
+        for unit in rng.choice(len(space.units), 2, replace=False):
+            shapes[some] += curve[:, None, None] * space.units[unit]
+    return shapes
+
+
+def test_modes_and_units_neither_move_nor_turn_nor_scale_the_face(space: FaceSpace) -> None:
+    for directions in (space.identity, space.units):
+        left = without_similarity(directions, space.mean)
+        np.testing.assert_allclose(left, directions, atol=2e-4)
+
+
+def test_the_space_of_people_is_as_wide_for_a_face_as_for_its_mirror_image(space: FaceSpace) -> None:
+    np.testing.assert_allclose((space.mean * FLIP)[MIRROR], space.mean, atol=1e-6)
+    rows = space.identity.reshape(len(space.identity), -1)
+    mirrored = (space.identity[:, MIRROR] * FLIP).reshape(rows.shape)
+    np.testing.assert_allclose(mirrored.T @ mirrored, rows.T @ rows, atol=2e-4)
+
+
+def test_the_neutral_face_is_found_between_expressions(space: FaceSpace) -> None:
+    away, estimated = [], []
+    for seed in range(6):
+        face = somebody(space, seed)
+        neutral = calibrate(make_take(acting(face, space, seed, 160)))
+        away.append(np.abs(without_similarity(neutral.shape[None] - face, space.mean))[..., :2].mean())
+        estimated.append(neutral.is_estimated)
+    assert np.median(away) < 0.004
+    assert sum(estimated) <= 1
+
+
+@pytest.mark.thorough
+def test_without_any_rest_the_neutral_face_is_still_nearer_than_half_of_the_frames(space: FaceSpace) -> None:
+    nearer = []
+    for seed in range(15):
+        face = somebody(space, seed)
+        shapes = acting(face, space, seed, 160, restless=0.7)
+        neutral = calibrate(make_take(shapes))
+        away = np.abs(without_similarity(neutral.shape[None] - face, space.mean))[..., :2].mean()
+        frames = np.abs(without_similarity(shapes - face, space.mean))[..., :2].mean(axis=(1, 2))
+        nearer.append(away < np.median(frames))
+    assert sum(nearer) >= 13
+
+
+def test_a_smile_that_lasts_for_the_whole_take_is_removed_and_reported(space: FaceSpace) -> None:
+    face = somebody(space, 3)
+    # The units that take each corner of the mouth farthest outwards.
+    outwards = space.units[:, MOUTH_CORNERS, 0] * (-1.0, 1.0)
+    smile = space.units[outwards.argmax(axis=0)].sum(axis=0)
+    neutral = calibrate(make_take(np.tile(face + smile, (80, 1, 1))))
+    assert neutral.is_estimated
+
+    def width(shape: np.ndarray) -> float:
+        return float(np.ptp(shape[MOUTH_CORNERS, 0]))
+
+    assert width(neutral.shape) - width(face) < 0.75 * (width(face + smile) - width(face))
+
+
+def test_a_lasting_grin_is_not_taken_for_the_neutral_face(space: FaceSpace) -> None:
+    shapes = np.tile(somebody(space, 7), (150, 1, 1))
+    shapes[40:, MOUTH_CORNERS, 0] += (-0.1, 0.1)
+    shapes[40:, LOWER_INNER, 1] += 0.1
+    assert calibrate(make_take(shapes)).end <= 1.6
+
+
+def test_an_open_mouth_raised_brows_and_shut_eyes_are_not_the_neutral_face(space: FaceSpace) -> None:
+    face = somebody(space, 1)
+    shapes = np.tile(face, (200, 1, 1))
+    shapes[:60, LOWER_INNER, 1] += 0.2
+    shapes[60:120, BROWS, 1] -= 0.08
+    shapes[120:180, UPPER_LIDS, 1] += 0.08
+    neutral = calibrate(make_take(shapes))
+    assert neutral.start >= 7.2
+    assert abs(mouth_aperture(neutral.shape) - mouth_aperture(face)) < 0.01
+    assert np.abs(eye_apertures(neutral.shape) - eye_apertures(face)).max() < 0.01
+
+
+def test_high_brows_are_the_persons_own_where_they_stay_high(space: FaceSpace) -> None:
+    raised = [unit for unit in space.units[space.of_brows] if unit[BROWS, 1].mean() < -0.01]
+    face = somebody(space, 4) + 0.8 * np.sum(raised, axis=0)
+    found = calibrate(make_take(acting(face, space, 4, 400)))
+    assert abs((found.shape - face)[BROWS, 1].mean()) < 0.02
+
+
+def test_half_shut_eyes_are_not_the_neutral_face(space: FaceSpace) -> None:
+    face = somebody(space, 6)
+    found = calibrate(make_take(acting(face, space, 6, 400, restless=0.3)))
+    assert eye_apertures(found.shape).mean() > 0.95 * eye_apertures(face).mean()
+
+
+def test_a_blink_within_a_given_second_does_not_half_close_the_eyes(space: FaceSpace) -> None:
+    face = somebody(space, 2)
+    shapes = np.tile(face, (25, 1, 1))
+    shapes[10:15, UPPER_LIDS, 1] += 0.06
+    np.testing.assert_allclose(calibrate(make_take(shapes), start=0.0).shape, face, atol=1e-6)
+
+
+def test_lost_frames_are_skipped_and_a_take_without_a_face_is_refused(space: FaceSpace) -> None:
+    shapes = np.tile(somebody(space, 4), (60, 1, 1))
+    found = np.ones(60, bool)
+    found[::2] = False
+    shapes[::2] = np.nan
+    assert np.isfinite(calibrate(make_take(shapes, found=found)).shape).all()
+    with pytest.raises(SourceError, match="No face was found"):
+        calibrate(make_take(shapes * np.nan, found=~np.ones(60, bool)))
+    with pytest.raises(SourceError, match="between 90"):
+        calibrate(make_take(shapes, found=found), start=90.0)
+
+
+def test_a_head_that_is_turned_all_the_time_looks_away_unless_that_time_was_chosen(space: FaceSpace) -> None:
+    pose = np.tile([100.0, 0.0, 0.7, 0.0, 320.0, 240.0], (60, 1))
+    take = make_take(np.tile(somebody(space, 5), (60, 1, 1)), pose=pose)
+    np.testing.assert_array_equal(calibrate(take).rotation, np.eye(3))
+    chosen = calibrate(take, start=0.0).rotation
+    assert np.degrees(np.arccos((np.trace(chosen) - 1.0) / 2.0)) == pytest.approx(np.degrees(0.7))
+
+
+def test_a_calibration_of_an_earlier_version_is_read(space: FaceSpace) -> None:
+    neutral = calibrate(make_take(np.tile(somebody(space, 6), (30, 1, 1))))
+    stored = neutral.to_dict()
+    del stored["removed"]
+    read = Neutral.from_dict(stored)
+    np.testing.assert_array_equal(read.shape, neutral.shape)
+    assert replace(neutral, removed=0.0).removed == read.removed

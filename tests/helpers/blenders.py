@@ -1,0 +1,27 @@
+"""Other versions of Blender in which tests run."""
+
+import hashlib
+import os
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def blender_python(version: str) -> Path:
+    """Return the Python of an environment with only this version of Blender."""
+    key = hashlib.sha256((ROOT / "requirements" / f"bpy-{version}.txt").read_bytes()).hexdigest()[:12]
+    cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
+    place = cache / f"bpy-{version}-{key}"
+    if not (place / ".ready").exists():
+        pytest.skip(f"Blender {version} is not set up: make blenders (5.2 needs Python 3.13)")
+    return place / "bin" / "python"
+
+
+def unpack_wheels(folder: Path) -> None:
+    """Unpack the extension's compiled wheels for Linux, which those environments do not contain."""
+    for wheel in (ROOT / "wheels").glob("*manylinux*.whl"):
+        with zipfile.ZipFile(wheel) as archive:
+            archive.extractall(folder)

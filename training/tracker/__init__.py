@@ -1,1 +1,0 @@
-"""Trains the tracker's model file: `python -m training.tracker`."""
