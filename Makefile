@@ -71,7 +71,7 @@ pictures: setup build windows programs
 
 # Ten minutes of puppeteering in Blender's window, to find growing memory and leftover threads.
 soak: setup build windows
-	$(BIN)/python tests/gui/soak.py
+	$(BIN)/python -m tests.gui.soak
 
 test-core: setup
 	$(BIN)/python -m pytest tests/core

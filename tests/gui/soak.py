@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.gui.conftest import SUITES, install
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.window import MODULE, ROOT, Blender, places
-from tests.gui.conftest import SUITES, install
 
 PERIOD = 20.0
 GROWTH = 0.5

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 
 from facemime.core.takes.file import load_take, save_take
+from tests.gui.conftest import QUICK, SUITES, archive, place_of
 from tests.helpers.gui.window import ROOT
 from tests.helpers.takes import performance
-from tests.gui.conftest import QUICK, SUITES, archive, place_of
 
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 _DRIVER_THAT_BLENDER_BLOCKS = """

@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.gui.conftest import QUICK, SUITES, installed
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.walking import SIZES, TOOLS, choose_the_sample_clip, middle, shows_stop, skin
 from tests.helpers.gui.window import Blender
-from tests.gui.conftest import QUICK, SUITES, installed
 
 _POSES, _CALIBRATE = ("NEUTRAL", "RANGE"), "bpy.ops.facemime.calibrate(pose='{pose}'"
 _LEAST_SHARE, _LEAST_MOTION = 0.15, 0.01

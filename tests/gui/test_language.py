@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.gui.conftest import SUITES, install, place_of
 from tests.helpers.gui.catalogues import LANGUAGE, WRONG, write_catalogue
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.window import Blender
-from tests.gui.conftest import SUITES, install, place_of
 
 pytestmark = pytest.mark.thorough
 _SHOWN = """

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.gui.conftest import installed
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.walking import CLIP, TOOLS, run_in_viewport, start, stop
 from tests.helpers.gui.window import Blender
-from tests.gui.conftest import installed
 
 pytestmark = pytest.mark.thorough
 

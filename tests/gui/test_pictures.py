@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 import pytest
 
+from tests.gui.conftest import QUICK, installed
 from tests.helpers.gui.studio import ASIDE, Studio, keep
 from tests.helpers.gui.walking import CLIP, HEAD, SIZES, choose_file, choose_the_sample_clip, middle, skin
 from tests.helpers.gui.window import MODULE, ROOT
 from tests.helpers.scans import write_scan
-from tests.gui.conftest import QUICK, installed
 
 pytestmark = pytest.mark.thorough
 

@@ -9,10 +9,10 @@ import pytest
 
 from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.streams.protocols.live_link import LiveLinkDecoder
+from tests.gui.conftest import installed
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.window import Blender
 from tests.helpers.links import free_port, sending_phone
-from tests.gui.conftest import installed
 
 pytestmark = pytest.mark.thorough
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 import pytest
 from websockets.sync.client import connect
 
+from tests.gui.conftest import installed
 from tests.helpers.clocks import PATIENCE
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.window import Blender
-from tests.gui.conftest import installed
 
 _SETTINGS = """
 bpy.context.preferences.system.use_online_access = True
