@@ -134,11 +134,11 @@ bench-deformation: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.deformation --pictures docs/images --json build/bench/deformation.json
 
-# Tests the claims of the paper, and writes docs/paper.md and its images; three minutes.
+# Tests the claims of the paper, and writes docs/accuracy/paper.md and its images; three minutes.
 paper: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.paper --json build/bench/paper.json --pictures docs/images/paper
-	cp build/bench/paper.json docs/paper.json
+	cp build/bench/paper.json docs/accuracy/paper.json
 	$(BIN)/python -m lab.bench.docs build/bench/paper.md
 
 # Clips of other people, labelled by hand; needs ../shared/data.
@@ -189,7 +189,7 @@ build/peers/.ready: tools/requirements/peers.txt | setup
 
 # The documentation as a site, in build/docs; a warning is an error. Sphinx has a separate environment.
 docs: build/sphinx/.ready
-	rm -rf build/docs docs/api/generated docs/project
+	rm -rf build/docs docs/reference/api/generated docs/project
 	build/sphinx/bin/sphinx-build --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/docs
 	@echo "Open build/docs/index.html in a browser."
 

@@ -135,7 +135,7 @@ def add_commands(commands: Commands) -> None:
 
     export = add_command(commands, "export", "write a take as a CSV table")
     export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
-    add_output(export, "OUT.csv", "a table with one row per frame; docs/takes.md lists the columns")
+    add_output(export, "OUT.csv", "a table with one row per frame; takes.md lists the columns")
     export.add_argument(
         "--columns",
         choices=("all", "coefficients", "livelink"),

@@ -64,7 +64,7 @@ def _download_wheels(manifest: dict) -> None:
             [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check", "--no-deps"]
             + ["--only-binary=:all:", "--python-version", "3.11", "--implementation", "cp", "--abi", "abi3"]
             + ["--platform", PIP_PLATFORMS[platform], "--require-hashes", "--dest", str(WHEELS)]
-            + ["-r", str(ROOT / "requirements" / "wheels.txt")],
+            + ["-r", str(ROOT / "tools" / "requirements" / "wheels.txt")],
             check=True,
         )
 

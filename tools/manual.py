@@ -28,13 +28,14 @@ th, td {{ padding: .25rem .7rem; border-bottom: 1px solid #8885; text-align: lef
 {body}
 </body></html>
 """
+_ROOMS = ("tutorials", "guides", "reference", "accuracy")
 _DIRECTIVE = re.compile(r"^```\{.*?^```\n", re.DOTALL | re.MULTILINE)
 
 
 def main() -> int:
     """Render into `manual/`; return the exit status."""
     shutil.rmtree(MANUAL, ignore_errors=True)
-    pages = [*DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md")]
+    pages = [*DOCS.glob("*.md"), *(page for room in _ROOMS for page in (DOCS / room).glob("*.md"))]
     for page in pages:
         target = MANUAL / page.relative_to(DOCS).with_suffix(".html")
         target.parent.mkdir(parents=True, exist_ok=True)

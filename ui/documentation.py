@@ -10,7 +10,7 @@ from pathlib import Path
 import bpy
 
 _MANUAL_FOLDER = Path(__file__).resolve().parents[1] / "manual"
-_WEBCAM, _OWN_HEAD, _TAKES = "tutorials/webcam.html", "tutorials/own_head.html", "takes.html"
+_WEBCAM, _OWN_HEAD, _TAKES = "tutorials/webcam.html", "tutorials/own_head.html", "guides/takes.html"
 PANELS = {
     "FACEMIME_PT_start": f"{_WEBCAM}#add-a-head",
     "FACEMIME_PT_head": _OWN_HEAD,
@@ -19,14 +19,14 @@ PANELS = {
     "FACEMIME_PT_source": f"{_WEBCAM}#choose-your-camera",
     "FACEMIME_PT_calibration": f"{_WEBCAM}#calibrate",
     "FACEMIME_PT_regions": f"{_OWN_HEAD}#check-the-regions",
-    "FACEMIME_PT_control_points": "deformation.html#control-points-from-a-take",
+    "FACEMIME_PT_control_points": "accuracy/deformation.html#control-points-from-a-take",
     "FACEMIME_PT_expression": f"{_WEBCAM}#adjust-the-expression",
-    "FACEMIME_PT_fit": "deformation.html#the-paper-s-method",
+    "FACEMIME_PT_fit": "accuracy/deformation.html#the-paper-s-method",
     "FACEMIME_PT_puppet": f"{_WEBCAM}#start-the-puppet",
     "FACEMIME_PT_pose": f"{_WEBCAM}#start-the-puppet",
-    "FACEMIME_PT_send": "streams.html#in-blender",
-    "FACEMIME_PT_incoming": "streams.html#in-blender",
-    "FACEMIME_PT_viewer": "viewer.html#in-blender",
+    "FACEMIME_PT_send": "guides/streams.html#in-blender",
+    "FACEMIME_PT_incoming": "guides/streams.html#in-blender",
+    "FACEMIME_PT_viewer": "guides/viewer.html#in-blender",
     "FACEMIME_PT_bake": f"{_TAKES}#baking",
     "FACEMIME_PT_takes": f"{_TAKES}#in-blender",
     "FACEMIME_PT_take_bake": f"{_TAKES}#baking",
@@ -40,16 +40,16 @@ _MANUAL = (
     ("bpy.ops.facemime.*take*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_sound*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_reference*", f"{_TAKES}#in-blender"),
-    ("bpy.ops.facemime.*pairing*", "streams.html#across-networks"),
+    ("bpy.ops.facemime.*pairing*", "guides/streams.html#across-networks"),
     ("bpy.ops.facemime.*key*", f"{_TAKES}#key-mappings"),
     ("bpy.ops.facemime.*calibrate*", f"{_WEBCAM}#calibrate"),
     ("bpy.ops.facemime.*performer*", f"{_WEBCAM}#calibrate"),
     ("bpy.ops.facemime.*preset*", f"{_WEBCAM}#adjust-the-expression"),
-    ("bpy.ops.facemime.*viewer*", "viewer.html#in-blender"),
+    ("bpy.ops.facemime.*viewer*", "guides/viewer.html#in-blender"),
     ("bpy.ops.facemime.*puppet*", f"{_WEBCAM}#start-the-puppet"),
     ("bpy.ops.facemime.*camera*", f"{_WEBCAM}#choose-your-camera"),
     ("bpy.ops.facemime.add_head*", f"{_WEBCAM}#add-a-head"),
-    ("bpy.ops.facemime.*control_point*", "deformation.html#control-points-from-a-take"),
+    ("bpy.ops.facemime.*control_point*", "accuracy/deformation.html#control-points-from-a-take"),
     ("bpy.ops.facemime.*part*", f"{_OWN_HEAD}#the-parts-of-a-character"),
     ("bpy.ops.facemime.*bone*", f"{_OWN_HEAD}#the-parts-of-a-character"),
     ("bpy.ops.facemime.*region*", f"{_OWN_HEAD}#check-the-regions"),

@@ -1,1 +1,1 @@
-"""Baking without Blender: bases, weights of shape keys, tables, clean curves and caches (docs/method.md, section 9)."""
+"""Baking without Blender: bases, weights of shape keys, tables, clean curves and caches (method.md, section 9)."""

@@ -1,4 +1,4 @@
-"""ARKit's 52 coefficients of a take (docs/method.md, section 9.3).
+"""ARKit's 52 coefficients of a take (method.md, section 9.3).
 
 They serve other programs, tables and key mappings; a head that is driven directly does not need them.
 """

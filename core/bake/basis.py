@@ -1,4 +1,4 @@
-"""A small basis for a long motion, in place of one shape key per frame (docs/method.md, section 9.1)."""
+"""A small basis for a long motion, in place of one shape key per frame (method.md, section 9.1)."""
 
 from __future__ import annotations
 

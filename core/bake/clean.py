@@ -1,4 +1,4 @@
-"""Removal of keyframes that straight lines between the others replace (docs/method.md, section 9.5)."""
+"""Removal of keyframes that straight lines between the others replace (method.md, section 9.5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the tracker shows of each ARKit coefficient, learnt by `lab.training.coefficients` (docs/method.md, section
+"""What the tracker shows of each ARKit coefficient, learnt by `lab.training.coefficients` (method.md, section
 9.3).
 """
 

@@ -1,4 +1,4 @@
-"""Fitting of a motion of vertices by shape keys that a mesh already has (docs/method.md, section 9.2)."""
+"""Fitting of a motion of vertices by shape keys that a mesh already has (method.md, section 9.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Key mappings: tables from ARKit's coefficients to the shape keys of a mesh (docs/method.md, section 9.4).
+"""Key mappings: tables from ARKit's coefficients to the shape keys of a mesh (method.md, section 9.4).
 
 Presets for common vocabularies are in `assets/key_maps`. Names are compared regardless of case, separators and the
 spelling of left and right: `eyeBlink_L`, `EyeBlinkLeft` and `eye blink.l` are equal.

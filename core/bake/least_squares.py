@@ -1,4 +1,4 @@
-"""Least squares within bounds, for weights of shape keys (docs/method.md, section 9.2)."""
+"""Least squares within bounds, for weights of shape keys (method.md, section 9.2)."""
 
 from __future__ import annotations
 

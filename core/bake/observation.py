@@ -1,4 +1,4 @@
-"""Observations of tracked frames, from which ARKit's coefficients are found (docs/method.md, section 9.3)."""
+"""Observations of tracked frames, from which ARKit's coefficients are found (method.md, section 9.3)."""
 
 from __future__ import annotations
 

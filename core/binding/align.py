@@ -1,4 +1,4 @@
-"""Similarities that align the template with a mesh (docs/method.md, section 7.1)."""
+"""Similarities that align the template with a mesh (method.md, section 7.1)."""
 
 from __future__ import annotations
 

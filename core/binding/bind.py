@@ -1,4 +1,4 @@
-"""Landmarks on an unlabelled head, found by looking at it and bending a template to it (docs/method.md, section 7.1).
+"""Landmarks on an unlabelled head, found by looking at it and bending a template to it (method.md, section 7.1).
 
 The user marks a few points (corners of the eyes and the mouth, tip of the nose, chin), or none if the head is aligned
 with the axes of the mesh. The mesh may include a body. The tracker looks at a rendering of the mesh; what it sees
@@ -150,7 +150,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     Notes
     -----
     Nearest places are sought by position and normal together, so that a lip is not taken for the inside of the mouth.
-    The steps are those of docs/method.md, section 7.1: a look by the tracker, a similarity (Besl & McKay 1992), warps
+    The steps are those of method.md, section 7.1: a look by the tracker, a similarity (Besl & McKay 1992), warps
     of decreasing smoothness (Amberg et al. 2007), rims and symmetry. It takes about 1.5 s for 110,000 vertices.
     """
     places = as_points(vertices, "vertices", error=HeadError)

@@ -1,7 +1,7 @@
 """Landmarks of the lids where they are seen against the eye, on a character with separate eyes.
 
 The border of such a mesh is not the rim of its lids, as the skin continues behind them into the socket. Seen from the
-front, the rim is where the skin ends and the eye begins (docs/method.md, section 7.1).
+front, the rim is where the skin ends and the eye begins (method.md, section 7.1).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fitting of the template to a mesh, guided by marks or by a face that is seen (docs/method.md, section 7.1)."""
+"""Fitting of the template to a mesh, guided by marks or by a face that is seen (method.md, section 7.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Differences of a face at rest from a neutral one (docs/method.md, section 7.1)."""
+"""Differences of a face at rest from a neutral one (method.md, section 7.1)."""
 
 from __future__ import annotations
 

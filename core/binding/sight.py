@@ -1,4 +1,4 @@
-"""The face that the tracker sees on a portrait of a mesh (docs/method.md, section 7.1)."""
+"""The face that the tracker sees on a portrait of a mesh (method.md, section 7.1)."""
 
 from __future__ import annotations
 

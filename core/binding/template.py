@@ -1,4 +1,4 @@
-"""The built-in head as a template, and the surface that it is fitted to (docs/method.md, section 7.1)."""
+"""The built-in head as a template, and the surface that it is fitted to (method.md, section 7.1)."""
 
 from __future__ import annotations
 

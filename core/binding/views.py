@@ -1,4 +1,4 @@
-"""The attitudes in which a mesh may be a head, and the one in which a face is seen (docs/method.md, section 7.1)."""
+"""The attitudes in which a mesh may be a head, and the one in which a face is seen (method.md, section 7.1)."""
 
 from __future__ import annotations
 

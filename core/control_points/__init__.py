@@ -1,1 +1,1 @@
-"""Control points: selected for a take or by hand, and saved (docs/method.md, section 6)."""
+"""Control points: selected for a take or by hand, and saved (method.md, section 6)."""

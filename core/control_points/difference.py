@@ -1,4 +1,4 @@
-"""The difference between the skin as moved by some landmarks and by all of them (docs/method.md, section 6.3).
+"""The difference between the skin as moved by some landmarks and by all of them (method.md, section 6.3).
 
 The largest error at a landmark shows when the points suffice, but not how much skin is wrong. Measuring that needs no
 true motion, as the skin that all landmarks would give is known for every frame of a take.

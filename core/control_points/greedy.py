@@ -1,4 +1,4 @@
-"""Greedy selection of control points for a whole take (docs/method.md, section 6.2).
+"""Greedy selection of control points for a whole take (method.md, section 6.2).
 
 Fewer points let less of the tracker's noise through. The paper considers a single frame. Here the error is that of the
 worst frame, so that an expression that occurs once is not forgotten.
@@ -169,7 +169,7 @@ def greedy_select(
 
     Notes
     -----
-    The steps are those of docs/method.md, section 6.2, after Yao et al. 2019, section 4.2, and Rendall & Allen 2010.
+    The steps are those of method.md, section 6.2, after Yao et al. 2019, section 4.2, and Rendall & Allen 2010.
     The paper's search consists of the first three, without covariance and ridge. Ties go to the lower number, so that
     the same take always gives the same points.
     """

@@ -1,1 +1,1 @@
-"""From the displacements of a head's landmarks to all its vertices (docs/method.md, section 5)."""
+"""From the displacements of a head's landmarks to all its vertices (method.md, section 5)."""

@@ -1,4 +1,4 @@
-"""Motion of the skin under actions that no landmark shows (docs/method.md, section 5.9)."""
+"""Motion of the skin under actions that no landmark shows (method.md, section 5.9)."""
 
 from __future__ import annotations
 

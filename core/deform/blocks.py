@@ -1,4 +1,4 @@
-"""The product of a frame, ``rest + A d``, in blocks of low rank (docs/method.md, section 5.7).
+"""The product of a frame, ``rest + A d``, in blocks of low rank (method.md, section 5.7).
 
 A frame is limited by reading `A`, which exceeds the CPU's caches on a head of 100,000 vertices. Within a small piece of
 the face, however, all control points together move the vertices in only a few ways, as the fields are smooth. Vertices

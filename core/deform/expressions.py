@@ -1,4 +1,4 @@
-"""Correlation of motion, learnt from the expression shapes of known heads (docs/method.md, section 5.5).
+"""Correlation of motion, learnt from the expression shapes of known heads (method.md, section 5.5).
 
 The skin alone does not show that a lower lid moves with the cheek, but not with the bridge of the nose, which is
 equally near. The covariance of its process therefore gains a term that is large between places that move alike in known

@@ -1,8 +1,8 @@
-"""Motion of landmarks that are not control points, which follow those that are (docs/method.md, section 6.1).
+"""Motion of landmarks that are not control points, which follow those that are (method.md, section 6.1).
 
 A radial basis function predicts them by distance alone. If their motion in a take is known, a ridge regression corrects
 the error of that prediction. It uses only the control points of the same region, and a strong ridge, so that it also
-helps with expressions that the take does not contain (docs/deformation.md).
+helps with expressions that the take does not contain (docs/accuracy/deformation.md).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Parts that ride on the skin: lashes, brows, a beard, the wall of the mouth (docs/method.md, section 5.10)."""
+"""Parts that ride on the skin: lashes, brows, a beard, the wall of the mouth (method.md, section 5.10)."""
 
 from __future__ import annotations
 

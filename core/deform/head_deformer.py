@@ -1,4 +1,4 @@
-"""The deformer of a head, from its regions, control points and kernel (docs/method.md, section 5.6)."""
+"""The deformer of a head, from its regions, control points and kernel (method.md, section 5.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lids that meet along their whole rims, not only at their landmarks (docs/method.md, section 5.6).
+"""Lids that meet along their whole rims, not only at their landmarks (method.md, section 5.6).
 
 A lid has two landmarks between the corners of the eye. Even if they meet those of the other lid, the rims between them
 may not: on a stylised eye, whose outer third is long and steep, a wide gap remains. Its width follows from the mesh at

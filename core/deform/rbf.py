@@ -1,4 +1,4 @@
-"""Radial basis functions, one per region, prepared so that a frame is one matrix product (docs/method.md, section 5.1).
+"""Radial basis functions, one per region, prepared so that a frame is one matrix product (method.md, section 5.1).
 
 The paper refits the weights in every frame. As rest positions do not change, neither does the matrix of the fit, so it
 is inverted once and multiplied by the evaluation at every vertex. Gaussians become ill-conditioned with growing sigma;

@@ -1,4 +1,4 @@
-"""Covariance of a Matern process on the skin, by distance along the surface (docs/method.md, section 5.4).
+"""Covariance of a Matern process on the skin, by distance along the surface (method.md, section 5.4).
 
 Lips and lids that touch are far apart along the skin, as are the two sides of a fold. A kernel of distance in space
 cannot separate them; a process on the surface can, without any cut.

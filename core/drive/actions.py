@@ -1,4 +1,4 @@
-"""The strength with which an avatar shows actions that no landmark does (docs/method.md, section 4.6)."""
+"""The strength with which an avatar shows actions that no landmark does (method.md, section 4.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Anonymous takes: the performance on the average face (docs/method.md, section 8.4)."""
+"""Anonymous takes: the performance on the average face (method.md, section 8.4)."""
 
 from __future__ import annotations
 

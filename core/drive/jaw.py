@@ -1,4 +1,4 @@
-"""The rotation of the jaw, with lower teeth and tongue, from the motion of the skin (docs/method.md, section 4.5)."""
+"""The rotation of the jaw, with lower teeth and tongue, from the motion of the skin (method.md, section 4.5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a performer's pose-free landmarks to displacements of an avatar's (docs/method.md, sections 4.2 to 4.4)."""
+"""From a performer's pose-free landmarks to displacements of an avatar's (method.md, sections 4.2 to 4.4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Apertures of eyes and mouth, as used by tracking, retargeting and benchmarks (docs/method.md, section 3.9).
+"""Apertures of eyes and mouth, as used by tracking, retargeting and benchmarks (method.md, section 3.9).
 
 An aperture is measured in the (x, y) plane, perpendicular to the line through the corners, so that it does not depend
 on roll. It is signed, so that noise around shut lids has the mean 0.

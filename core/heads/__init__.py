@@ -1,4 +1,4 @@
 """Heads: landmarks, regions, lids, lips and eyeballs of a mesh; the built-in head; FaceGen's files.
 
-See docs/method.md, section 7.
+See method.md, section 7.
 """

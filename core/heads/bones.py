@@ -1,4 +1,4 @@
-"""Bones of head, eyes and jaw, found by the names that rigs give them (docs/method.md, section 7.6)."""
+"""Bones of head, eyes and jaw, found by the names that rigs give them (method.md, section 7.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The almond between the corners of an eye, fitted to the landmarks of its lids (docs/method.md, section 7.4)."""
+"""The almond between the corners of an eye, fitted to the landmarks of its lids (method.md, section 7.4)."""
 
 from __future__ import annotations
 

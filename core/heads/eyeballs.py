@@ -1,4 +1,4 @@
-"""Contact between lids and eyeballs (docs/method.md, section 5.8).
+"""Contact between lids and eyeballs (method.md, section 5.8).
 
 A lid that closes along a straight line would cut through the eyeball, which would show through the skin. Vertices near
 an eyeball are therefore kept outside its surface.

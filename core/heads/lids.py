@@ -1,4 +1,4 @@
-"""Opening of eyes that are one skin with their lids, as on a scan: where to cut (docs/method.md, section 7.4).
+"""Opening of eyes that are one skin with their lids, as on a scan: where to cut (method.md, section 7.4).
 
 A cut along existing edges would leave jagged rims that cannot meet. Edges are therefore split where they cross an
 almond through the lids. The skin inside becomes an eye on a sphere that touches the lids from behind, and the lids

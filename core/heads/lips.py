@@ -1,4 +1,4 @@
-"""The line between joined lips along which a mesh is cut to open its mouth (docs/method.md, section 7.3)."""
+"""The line between joined lips along which a mesh is cut to open its mouth (method.md, section 7.3)."""
 
 from __future__ import annotations
 

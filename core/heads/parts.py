@@ -1,4 +1,4 @@
-"""Parts of a character's face, in one mesh or several, and the skin among them (docs/method.md, section 7.5)."""
+"""Parts of a character's face, in one mesh or several, and the skin among them (method.md, section 7.5)."""
 
 from __future__ import annotations
 

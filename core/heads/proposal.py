@@ -1,4 +1,4 @@
-"""Proposed regions of a bound mesh, from its landmarks and openings (docs/method.md, section 7.2).
+"""Proposed regions of a bound mesh, from its landmarks and openings (method.md, section 7.2).
 
 Across a slit, from lid to lid and from lip to lip, the change is sharp and follows the distance along the surface: lips
 that are closed but not joined coincide in space, yet are far apart on the skin. Elsewhere regions overlap along the

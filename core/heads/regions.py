@@ -1,4 +1,4 @@
-"""The three regions of the face, cut through the slits of eyes and mouth along the muscles (docs/method.md, 5.3).
+"""The three regions of the face, cut through the slits of eyes and mouth along the muscles (method.md, 5.3).
 
 Lips that touch move apart, and so do lids: they are neighbours in space that hardly influence each other. A single
 radial basis function over the whole face would halve the opening of mouth and eyes.

@@ -1,4 +1,4 @@
-"""Contact between the lips, and between the lids of an eye (docs/method.md, section 9.6)."""
+"""Contact between the lips, and between the lids of an eye (method.md, section 9.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Assignment of the pieces of a character's face to parts, by name and by place (docs/method.md, section 7.5)."""
+"""Assignment of the pieces of a character's face to parts, by name and by place (method.md, section 7.5)."""
 
 from __future__ import annotations
 

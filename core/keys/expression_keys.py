@@ -1,4 +1,4 @@
-"""Sets of shape keys for any head, made from the face units of the built-in head (docs/method.md, section 9.6)."""
+"""Sets of shape keys for any head, made from the face units of the built-in head (method.md, section 9.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sets of shape keys that programs expect, as mixtures of ARKit's face units (docs/method.md, section 9.6)."""
+"""Sets of shape keys that programs expect, as mixtures of ARKit's face units (method.md, section 9.6)."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ _CH: Weights = {"mouthFunnel": 0.5, "mouthShrugUpper": 0.15, "jawOpen": 0.05}
 _SS: Weights = {"mouthStretch": 0.25, "mouthSmile": 0.15, "mouthLowerDown": 0.35, "mouthUpperUp": 0.25}
 _NN: Weights = {"jawOpen": 0.12, "mouthLowerDown": 0.12, "mouthUpperUp": 0.08}
 _RR: Weights = {"mouthFunnel": 0.3, "mouthPucker": 0.25, "jawOpen": 0.1}
-"""Mixtures for blinks, looks, emotions and visemes (docs/method.md, section 9.6)."""
+"""Mixtures for blinks, looks, emotions and visemes (method.md, section 9.6)."""
 
 KEY_SETS: Mapping[str, KeySet] = {
     "arkit": KeySet("ARKit", {name: {name: 1.0} for name in COEFFICIENTS}),

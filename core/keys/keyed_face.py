@@ -1,4 +1,4 @@
-"""The place of a face on a mesh, from the motion of its shape keys alone (docs/method.md, section 9.4)."""
+"""The place of a face on a mesh, from the motion of its shape keys alone (method.md, section 9.4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Live calibration: the neutral face, and how far eyes close and the mouth opens (docs/method.md, section 4.1).
+"""Live calibration: the neutral face, and how far eyes close and the mouth opens (method.md, section 4.1).
 
 In a take, `calibrate` finds a neutral moment. Live, the performer is asked for one, and told how well it went.
 """

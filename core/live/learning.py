@@ -1,4 +1,4 @@
-"""Learning the performer during a session: the neutral face, and where the eyes are shut (docs/method.md, 4.1).
+"""Learning the performer during a session: the neutral face, and where the eyes are shut (method.md, 4.1).
 
 The performer is not asked for anything. The first second seldom shows a face at rest, and hardly ever a blink, but a
 longer performance shows both.

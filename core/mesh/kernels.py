@@ -1,4 +1,4 @@
-"""Kernels: how far, and how smoothly, a control point moves its surroundings (docs/method.md, section 5.2)."""
+"""Kernels: how far, and how smoothly, a control point moves its surroundings (method.md, section 5.2)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..numeric.arrays import FloatArray
 
 _WIDE, _NARROW_SHARE = 3.0, 0.46
 """Sigma of the wide Gaussian over that of the narrow one, and share of the narrow one. Like the spacings in `KERNELS`,
-tuned on ICT-FaceKit and the built-in head (docs/deformation.md)."""
+tuned on ICT-FaceKit and the built-in head (docs/accuracy/deformation.md)."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Sparse symmetric systems on meshes, solved with numpy alone by nested dissection (docs/method.md, section 5.4).
+"""Sparse symmetric systems on meshes, solved with numpy alone by nested dissection (method.md, section 5.4).
 
 Two halves of a mesh are joined by a line of vertices, the separator. Eliminating it after both halves leaves dense
 systems of a few hundred unknowns instead of one of thousands. There are thousands of small parts and few large ones, so

@@ -1,4 +1,4 @@
-"""Smooth warps of space that map given points to others (docs/method.md, section 7.1)."""
+"""Smooth warps of space that map given points to others (method.md, section 7.1)."""
 
 from __future__ import annotations
 

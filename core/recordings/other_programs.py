@@ -1,4 +1,4 @@
-"""Recordings of other programs that are no tables of ARKit's coefficients (docs/takes.md).
+"""Recordings of other programs that are no tables of ARKit's coefficients (takes.md).
 
 Audio2Face writes JSON, Face Cap a text of its own, and OpenFace a table of action units.
 """

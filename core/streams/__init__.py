@@ -1,1 +1,1 @@
-"""Faces over the network: protocols, a source that receives them, and a sender (docs/streams.md)."""
+"""Faces over the network: protocols, a source that receives them, and a sender (streams.md)."""

@@ -1,4 +1,4 @@
-"""TCP connections with a phone: it connects to this computer, or is called (docs/streams.md).
+"""TCP connections with a phone: it connects to this computer, or is called (streams.md).
 
 Text ends with a marker; messages of `face_motion` state their length in the header.
 """

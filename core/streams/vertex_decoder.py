@@ -1,4 +1,4 @@
-"""Incoming moved vertices: the landmarks among them form a face, which drives any head (docs/streams.md)."""
+"""Incoming moved vertices: the landmarks among them form a face, which drives any head (streams.md)."""
 
 from __future__ import annotations
 

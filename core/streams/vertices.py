@@ -1,4 +1,4 @@
-"""The moved vertices of heads over TCP, for engines that deform nothing themselves (docs/streams.md).
+"""The moved vertices of heads over TCP, for engines that deform nothing themselves (streams.md).
 
 The receiver listens, and the sender tries to connect until it succeeds. A thread sends the newest frame whenever the
 last one has been sent.

@@ -1,4 +1,4 @@
-"""VTube Studio on a computer, by its WebSocket API, version 1.0 (docs/streams.md).
+"""VTube Studio on a computer, by its WebSocket API, version 1.0 (streams.md).
 
 Facemime asks for permission once, and keeps the token that it receives. The face is then injected as the parameters
 that every model of VTube Studio has.

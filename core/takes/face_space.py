@@ -1,4 +1,4 @@
-"""Identity and expression of faces as linear spaces (docs/method.md, section 4.1)."""
+"""Identity and expression of faces as linear spaces (method.md, section 4.1)."""
 
 from __future__ import annotations
 

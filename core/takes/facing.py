@@ -1,4 +1,4 @@
-"""Where a performer looks and faces most of the time (docs/method.md, section 4.1)."""
+"""Where a performer looks and faces most of the time (method.md, section 4.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The format of `.facetake` files: independent chunks, each with a checksum (docs/takes.md).
+"""The format of `.facetake` files: independent chunks, each with a checksum (takes.md).
 
 Numbers are stored as multiples of a step far below the tracker's noise. A chunk contains the differences of these
 multiples from frame to frame, sorted by the significance of their bytes and deflated. This is smaller than any
@@ -310,7 +310,7 @@ def _steps(layout: Sequence[Column], modes: int) -> FloatArray:
 
 
 def _pack(multiples: NDArray[np.int64]) -> bytes:
-    """Deflate (N, D) 32-bit integers, as described in docs/takes.md."""
+    """Deflate (N, D) 32-bit integers, as described in takes.md."""
     change = np.diff(multiples, axis=0, prepend=0).astype(np.int32)  # overflow wraps, and wraps back when read
     folded = (change << 1) ^ (change >> 31)
     planes = np.ascontiguousarray(folded.T).astype("<i4").view(np.uint8).reshape(-1, 4).T

@@ -1,4 +1,4 @@
-"""Takes from a face whose vertices move: landmarks are measured rather than tracked (docs/method.md, section 8.5)."""
+"""Takes from a face whose vertices move: landmarks are measured rather than tracked (method.md, section 8.5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The nine angles of Live Link Face, in its packets and its tables alike (docs/streams.md).
+"""The nine angles of Live Link Face, in its packets and its tables alike (streams.md).
 
 Those of the head and those of the eyes have opposite directions. The eyes do not turn about their line of sight; their
 roll is due to the order of the angles.

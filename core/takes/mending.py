@@ -1,4 +1,4 @@
-"""Mending of takes: outliers, gaps, smoothing, mirroring, another neutral face (docs/method.md, section 8.2)."""
+"""Mending of takes: outliers, gaps, smoothing, mirroring, another neutral face (method.md, section 8.2)."""
 
 from __future__ import annotations
 

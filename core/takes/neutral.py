@@ -1,4 +1,4 @@
-"""The performer's neutral face, from which expressions are measured (docs/method.md, section 4.1)."""
+"""The performer's neutral face, from which expressions are measured (method.md, section 4.1)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Smoothing of takes, either as live or without delay (docs/method.md, section 8.1)."""
+"""Smoothing of takes, either as live or without delay (method.md, section 8.1)."""
 
 from __future__ import annotations
 

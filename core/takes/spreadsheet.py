@@ -1,4 +1,4 @@
-"""Takes as comma-separated values, for spreadsheets and scripts; docs/takes.md lists the columns."""
+"""Takes as comma-separated values, for spreadsheets and scripts; takes.md lists the columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rotations of the head and directions of the eyes in a table of coefficients (docs/takes.md)."""
+"""Rotations of the head and directions of the eyes in a table of coefficients (takes.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Times of the rows of a table: which column has them, in which unit (docs/takes.md)."""
+"""Times of the rows of a table: which column has them, in which unit (takes.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Times of rows as timecodes, whose rate a table does not state (docs/takes.md)."""
+"""Times of rows as timecodes, whose rate a table does not state (takes.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Takes at other times: interpolated, resampled, shifted, trimmed, or punched in (docs/method.md, section 8.3).
+"""Takes at other times: interpolated, resampled, shifted, trimmed, or punched in (method.md, section 8.3).
 
 Rotations are interpolated on the sphere, scale geometrically and everything else linearly; landmarks follow from shape
 and pose. Nothing is interpolated across lost or missing frames.

@@ -1,4 +1,4 @@
-"""Experts of actions: small networks that measure what no landmark shows (docs/method.md, section 3.11)."""
+"""Experts of actions: small networks that measure what no landmark shows (method.md, section 3.11)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Viola-Jones face detection with the cascades that OpenCV ships (docs/method.md, section 3.2)."""
+"""Viola-Jones face detection with the cascades that OpenCV ships (method.md, section 3.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Learnt decision whether there is a face where a fit ended (docs/method.md, section 3.6)."""
+"""Learnt decision whether there is a face where a fit ended (method.md, section 3.6)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choice of the performer's face among several (docs/method.md, section 3.7)."""
+"""Choice of the performer's face among several (method.md, section 3.7)."""
 
 from __future__ import annotations
 

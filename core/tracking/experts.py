@@ -1,4 +1,4 @@
-"""Convolutional experts: small networks that compute response maps of landmarks (docs/method.md, section 3.3).
+"""Convolutional experts: small networks that compute response maps of landmarks (method.md, section 3.3).
 
 The patch experts of a constrained local model see 11 x 11 pixels and confuse a lid with a brow, or a lip with a tooth.
 Convolutional experts (Zadeh, Baltrusaitis & Morency 2017) see more. Here all landmarks share layers, so that each sees

@@ -1,4 +1,4 @@
-"""Fitting the shape model to a frame from a given start, stage by stage (docs/method.md, sections 3.3 to 3.5)."""
+"""Fitting the shape model to a frame from a given start, stage by stage (method.md, sections 3.3 to 3.5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Gaze: pupil centres from votes of image gradients, and the direction of an eyeball (docs/method.md, section 3.8).
+"""Gaze: pupil centres from votes of image gradients, and the direction of an eyeball (method.md, section 3.8).
 
 The edge between a dark iris and the brighter white votes for the centre of its curvature (Timm & Barth 2011). The paper
 squares the dot product of every gradient with every direction. Here the vote is the dot product itself, summed over the

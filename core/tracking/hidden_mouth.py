@@ -1,4 +1,4 @@
-"""Lips that are hidden keep their last shape (docs/method.md, section 3.6)."""
+"""Lips that are hidden keep their last shape (method.md, section 3.6)."""
 
 from __future__ import annotations
 

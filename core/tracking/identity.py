@@ -1,4 +1,4 @@
-"""Distinguishing the performer's face from those of bystanders (docs/method.md, section 3.7).
+"""Distinguishing the performer's face from those of bystanders (method.md, section 3.7).
 
 When two people cross, the landmarks of the one behind slip onto the one in front, which is a perfectly good face. The
 appearance reveals the change. A coarse description suffices, as it is compared with how the two looked a moment ago in

@@ -1,4 +1,4 @@
-"""Regularised landmark mean-shift, which fits the shape model to response maps (docs/method.md, section 3.4)."""
+"""Regularised landmark mean-shift, which fits the shape model to response maps (method.md, section 3.4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A small network that detects faces of any size and from any side in one pass (docs/method.md, section 3.2)."""
+"""A small network that detects faces of any size and from any side in one pass (method.md, section 3.2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Patch experts: one small network per landmark that rates 11 x 11 patches (docs/method.md, section 3.5).
+"""Patch experts: one small network per landmark that rates 11 x 11 patches (method.md, section 3.5).
 
 They refine what the convolutional experts found: they see only a few pixels, and so follow the visible edge. A hidden
 layer, rather than the linear filter of the original model, distinguishes a shut lid from a brow, at the cost of a

@@ -1,6 +1,6 @@
 """The 3-D point distribution model: 66 landmarks as a mean and modes, under weak perspective.
 
-See docs/method.md, section 3.1. Euler angles are updated by addition. They degenerate at 90 degrees of yaw, where no
+See method.md, section 3.1. Euler angles are updated by addition. They degenerate at 90 degrees of yaw, where no
 landmark detector of this kind works; in return, iterations keep no state but the parameters.
 """
 

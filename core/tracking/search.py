@@ -1,4 +1,4 @@
-"""Detection of all faces in an image (docs/method.md, section 3.2)."""
+"""Detection of all faces in an image (method.md, section 3.2)."""
 
 from __future__ import annotations
 

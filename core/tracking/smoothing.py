@@ -1,4 +1,4 @@
-"""Smoothing of live results by a one-euro filter for each part of the face (docs/method.md, section 3.10).
+"""Smoothing of live results by a one-euro filter for each part of the face (method.md, section 3.10).
 
 The cutoff of this low-pass filter rises with speed (Casiez, Roussel & Vogel 2012): what is at rest is held still, and
 fast motion passes. Each part has its own cutoffs and a single speed, so that its landmarks stay together, and a blink

@@ -1,4 +1,4 @@
-"""The face tracker: it finds a face, follows it, and notices when it is somebody else's (docs/method.md, section 3)."""
+"""The face tracker: it finds a face, follows it, and notices when it is somebody else's (method.md, section 3)."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""A page that shows driven heads in a browser, and the server that streams to it (docs/viewer.md)."""
+"""A page that shows driven heads in a browser, and the server that streams to it (viewer.md)."""

@@ -1,4 +1,4 @@
-"""Messages from the server to the page, little-endian (docs/viewer.md)."""
+"""Messages from the server to the page, little-endian (viewer.md)."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ class ViewerModel:
     Attributes
     ----------
     data : bytes
-        Header and arrays, as described in docs/viewer.md.
+        Header and arrays, as described in viewer.md.
     images : tuple of bytes
         PNG or JPEG files, to which the header refers by number.
     unit : float

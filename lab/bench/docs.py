@@ -31,7 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("There are no tables. Run a benchmark first, such as make bench.", file=sys.stderr)
         return 1
     failed = False
-    for path in sorted(chosen.docs.glob("*.md")):
+    for path in sorted(chosen.docs.rglob("*.md")):
         before = path.read_text(encoding="utf-8")
         try:
             after, put_in = with_tables(before, tables)

@@ -1,7 +1,7 @@
 """Measurement of the claims of Yao, Li, Li & Su (2019), on the built-in head and the sample clip.
 
 Run as `python -m lab.bench.paper --json build/bench/paper.json --pictures docs/images/paper`; `make paper` also copies
-the tables into docs/paper.md.
+the tables into docs/accuracy/paper.md.
 """
 
 from __future__ import annotations

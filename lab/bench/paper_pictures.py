@@ -1,4 +1,4 @@
-"""Pictures of docs/paper.md."""
+"""Pictures of docs/accuracy/paper.md."""
 
 from __future__ import annotations
 

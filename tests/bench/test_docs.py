@@ -70,7 +70,7 @@ def test_missing_results_are_reported_with_the_command_that_makes_them(folder, c
     assert (folder / "docs" / "speed.md").read_text(encoding="utf-8") == BEFORE
 
 
-@pytest.mark.parametrize("path", sorted((ROOT / "docs").glob("*.md")), ids=lambda path: path.name)
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*.md")), ids=lambda path: path.name)
 def test_all_markers_in_the_documents_are_valid(path):
     text = path.read_text(encoding="utf-8")
     assert docs.with_tables(text, {}) == (text, [])

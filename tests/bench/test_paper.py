@@ -1,4 +1,4 @@
-"""docs/paper.md contains the results of `make paper`, and its tables hold for the shipped head."""
+"""docs/accuracy/paper.md contains the results of `make paper`, and its tables hold for the shipped head."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from lab.bench.paper_claims import cell, claims
 from lab.bench.report import Table
 
 ROOT = Path(__file__).parents[2]
-PAGE = ROOT / "docs" / "paper.md"
+PAGE = ROOT / "docs" / "accuracy" / "paper.md"
 MEASURED = {
     title: Table(title, table["columns"], table["rows"])
-    for title, table in json.loads((ROOT / "docs" / "paper.json").read_text(encoding="utf-8")).items()
+    for title, table in json.loads((ROOT / "docs" / "accuracy" / "paper.json").read_text(encoding="utf-8")).items()
 }
 ERRORS = "Error in 500 mixtures of known expressions"
 KEYS = {

@@ -9,8 +9,8 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_every_module_of_the_benchmarks_can_be_imported():
-    modules = [path.stem for path in sorted((ROOT / "bench").glob("*.py")) if path.stem != "__init__"]
-    code = "\n".join(f"import bench.{module}" for module in modules)
+    modules = [path.stem for path in sorted((ROOT / "lab" / "bench").glob("*.py")) if path.stem != "__init__"]
+    code = "\n".join(f"import lab.bench.{module}" for module in modules)
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=ROOT,

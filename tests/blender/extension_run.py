@@ -43,7 +43,7 @@ def main() -> dict:
         bpy.context.scene.frame_set(frame)
         moved = max(moved, *(abs(keys[name].value) for name in baked))
     viewer = importlib.import_module(f"{MODULE}.core.viewer.server")
-    settings = importlib.import_module(f"{MODULE}.core.viewer.settings").ViewerSettings(port=0)
+    settings = importlib.import_module(f"{MODULE}.core.viewer.viewer_settings").ViewerSettings(port=0)
     with viewer.ViewerServer(settings, []) as server, urllib.request.urlopen(server.address) as answer:
         page = answer.read().decode()
     measured = {
@@ -85,8 +85,8 @@ def send_across_networks(bpy) -> int:
     import Cryptodome
 
     assert Path(Cryptodome.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), Cryptodome.__file__
-    pairing = importlib.import_module(f"{streams}.pairing").parse_pairing(line)
-    settings = importlib.import_module(f"{streams}.settings").StreamSettings(pairing=pairing)
+    pairing = importlib.import_module(f"{streams}.transport.pairing").parse_pairing(line)
+    settings = importlib.import_module(f"{streams}.stream_settings").StreamSettings(pairing=pairing)
     source = importlib.import_module(f"{streams}.source").StreamSource(settings, every=True)
     face = importlib.import_module(f"{MODULE}.core.takes.from_coefficients").coefficient_face()
     result = face.result([0.5] * 52, [0.0] * 3, None)
@@ -106,7 +106,7 @@ def keep_files(bpy) -> list[Path]:
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     assert bpy.ops.facemime.add_head() == bpy.ops.facemime.puppet_video(filepath=CLIP) == {"FINISHED"}
     assert bpy.ops.facemime.save_preset(name="Mine") == {"FINISHED"}
-    presets = importlib.import_module(f"{MODULE}.settings.presets")
+    presets = importlib.import_module(f"{MODULE}.settings.user_presets")
     return [Path(bpy.context.scene.facemime_takes.items[0].path), presets.path_of("Mine")]
 
 
@@ -117,7 +117,7 @@ def bake_every_way(bpy, head) -> dict:
     pipeline = importlib.import_module(f"{MODULE}.core.takes.from_video")
     tracker = importlib.import_module(f"{MODULE}.core.tracking.tracker")
     take = pipeline.track_video(Path(CLIP), tracker.FaceTracker.load()).part(slice(0, 50))
-    settings = importlib.import_module(f"{MODULE}.core.bake.settings")
+    settings = importlib.import_module(f"{MODULE}.core.bake.bake_settings")
     scene, worst = bpy.context.scene, {}
     scene.render.fps, scene.render.fps_base = 25, 1.0
     rig = puppet.read_rig(head)

@@ -28,7 +28,6 @@ from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.page import BUILT, PAGE
 from facemime.operators.puppet import running
 from facemime.settings.values import viewer_settings
-from tests.helpers import characters
 from tests.helpers.clocks import PATIENCE
 from tests.helpers.commands import START, needs_posix
 from tests.helpers.live_ticks import some_frames, start, tick, ticks_until
@@ -190,7 +189,12 @@ def test_a_preview_shows_the_image_of_the_colour_and_not_the_last_one(painted):
 def test_the_command_serves_a_character_of_a_file(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     path = tmp_path / "character.blend"
-    subprocess.run([sys.executable, characters.__file__, str(path)], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "tests.helpers.characters", str(path)],
+        cwd=PAGE.parents[1],
+        check=True,
+        capture_output=True,
+    )
     line = [
         *START,
         "serve",

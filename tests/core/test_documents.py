@@ -18,7 +18,7 @@ from tests.helpers.takes import performance
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted(
-    [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/tutorials/*.md"), ROOT / "assets" / "MODEL_CARD.md"]
+    [*ROOT.glob("*.md"), *ROOT.glob("docs/*.md"), *ROOT.glob("docs/*/*.md"), ROOT / "assets" / "MODEL_CARD.md"]
 )
 _LINK = re.compile(r"\]\((?![a-z]+:)([^)#\s]*)(?:#([^)\s]+))?\)")
 _SOURCE = re.compile(r"`((?:bench|blender|cli|core|farm|operators|sessions|settings|tests|tools|training|ui)/[\w/.]*)`")

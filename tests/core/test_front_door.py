@@ -18,7 +18,7 @@ from tests.helpers.takes import performance
 
 ROOT = Path(facemime.__file__).parent
 SAMPLE = ROOT / "assets" / "sample" / "sample.mp4"
-PAGES = ("README.md", "docs/python.md")
+PAGES = ("README.md", "docs/guides/python.md")
 SHOWN = [
     name for name in facemime.__all__ if not isinstance(getattr(facemime, name), tuple) and name != "FacemimeError"
 ]

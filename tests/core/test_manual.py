@@ -40,7 +40,7 @@ def test_links_pictures_and_anchors_of_all_pages_exist(pages):
 
 def test_directives_of_the_site_are_left_out_and_tables_are_drawn(pages):
     assert "toctree" not in (pages / "index.html").read_text(encoding="utf-8")
-    assert "<table>" in (pages / "takes.html").read_text(encoding="utf-8")
+    assert "<table>" in (pages / "guides" / "takes.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("heading", "anchor"), [("4. Start the puppet", "start-the-puppet"), ("A `b` c", "a-b-c")])

@@ -1,6 +1,6 @@
 """Fuzzes a format in a process of its own, with limited memory and time per case.
 
-    python -m fuzz.run FORMAT --count 2000 [--first 0] [--case N]
+    python -m tests.fuzz.run FORMAT --count 2000 [--first 0] [--case N]
 
 A case that takes too long, or ends the process, is told by the number in `--progress`; `--case` makes one again.
 """

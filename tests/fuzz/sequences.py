@@ -19,16 +19,16 @@ import webbrowser
 from contextlib import redirect_stderr
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 import bpy
 import numpy as np
-from steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
 
 import facemime
 from facemime.core.live.sources import PacedSource
 from facemime.operators.attached_parts import attend as attend_parts
 from facemime.sessions.session import Session
+from tests.fuzz.steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
 from tests.helpers.clocks import AskedClock
 from tests.helpers.live_ticks import attend
 

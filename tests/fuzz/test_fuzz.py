@@ -39,10 +39,10 @@ def fuzzed(name: str, count: int, progress: Path) -> tuple[Counter[str], list[tu
     outcomes: Counter[str] = Counter()
     failures: list[tuple[int, str]] = []
     first = 0
-    paths = os.pathsep.join([str(Path(__file__).parents[1]), *filter(None, [os.environ.get("PYTHONPATH")])])
+    paths = os.pathsep.join([str(Path(__file__).parents[2]), *filter(None, [os.environ.get("PYTHONPATH")])])
     environment = os.environ | {"PYTHONPATH": paths, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     for _ in range(_MOST_ENDS):
-        line = [sys.executable, "-m", "fuzz.run", name, "--count", str(count), "--first", str(first)]
+        line = [sys.executable, "-m", "tests.fuzz.run", name, "--count", str(count), "--first", str(first)]
         done = subprocess.run(
             [*line, "--progress", str(progress)], capture_output=True, text=True, env=environment, check=False
         )

@@ -32,8 +32,17 @@ def test_an_intact_file_is_read_and_damaged_ones_are_made(name, tmp_path):
 
 
 def test_the_program_that_fuzzes_a_format_starts(tmp_path):
-    line = [sys.executable, "-m", "fuzz.run", "head", "--count", "2", "--progress", str(tmp_path / "progress.json")]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT / "tests", ROOT)))}
+    line = [
+        sys.executable,
+        "-m",
+        "tests.fuzz.run",
+        "head",
+        "--count",
+        "2",
+        "--progress",
+        str(tmp_path / "progress.json"),
+    ]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     done = subprocess.run(line, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -147,7 +147,9 @@ def shaded(sidebar: Sidebar, name: str) -> float:
 
 def test_a_rigged_character_with_eyes_teeth_and_hair_moves_as_one(blender, sidebar):
     path = blender.folder / "character.blend"
-    subprocess.run([sys.executable, ROOT / "tests" / "characters.py", path], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [sys.executable, "-m", "tests.helpers.characters", path], cwd=ROOT, check=True, stdout=subprocess.DEVNULL
+    )
     blender.do(_CHARACTER.format(path=str(blender.inside / path.name)))
     blender.redraw()
     sidebar.press("bpy.ops.facemime.bind_landmarks")

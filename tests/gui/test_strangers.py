@@ -35,7 +35,9 @@ def import_character(blender: Blender, name: str) -> None:
     """Import a character with Blender's own importer, which leaves its own selection."""
     if name == "own":
         source = blender.folder / "character.blend"
-        subprocess.run([sys.executable, ROOT / "tests" / "characters.py", source], check=True, capture_output=True)
+        subprocess.run(
+            [sys.executable, "-m", "tests.helpers.characters", source], cwd=ROOT, check=True, capture_output=True
+        )
         command = [sys.executable, "-c", _EXPORT, source, blender.folder / "own.glb"]
         subprocess.run(command, check=True, capture_output=True)
     elif not (STRANGERS / f"{name}.glb").exists():

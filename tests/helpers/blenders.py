@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 def blender_python(version: str) -> Path:
     """Return the Python of an environment with only this version of Blender."""
-    key = hashlib.sha256((ROOT / "requirements" / f"bpy-{version}.txt").read_bytes()).hexdigest()[:12]
+    key = hashlib.sha256((ROOT / "tools" / "requirements" / f"bpy-{version}.txt").read_bytes()).hexdigest()[:12]
     cache = Path(os.environ.get("FACEMIME_CACHE", Path.home() / ".cache" / "facemime"))
     place = cache / f"bpy-{version}-{key}"
     if not (place / ".ready").exists():

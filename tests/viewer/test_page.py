@@ -248,7 +248,7 @@ def test_a_page_loads_little_once_and_misses_nothing(browser, watched):
     size = "performance.getEntriesByType('resource').reduce((sum, { transferSize }) => sum + transferSize, 0)"
     first = loaded(page).evaluate(size)
     assert len(answers) >= 9 and [url for url, status in answers if status != 200] == []
-    document = (ROOT / "docs" / "viewer.md").read_text(encoding="utf-8")
+    document = (ROOT / "docs" / "guides" / "viewer.md").read_text(encoding="utf-8")
     (stated,) = re.findall(r"A page of the built-in head loads (\d\.\d\d) MB", document)
     assert first == pytest.approx(1e6 * float(stated), rel=0.02)
     page.goto(shown.address)

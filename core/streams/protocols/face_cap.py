@@ -1,4 +1,4 @@
-"""Face Cap: OSC messages for the head, the eyes, and each coefficient by its number (docs/streams.md)."""
+"""Face Cap: OSC messages for the head, the eyes, and each coefficient by its number (streams.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Face Motion version 3, the binary protocol of iFacialMocap and Facemotion3d (docs/streams.md).
+"""Face Motion version 3, the binary protocol of iFacialMocap and Facemotion3d (streams.md).
 
 The receiver sends HELLO. The phone answers with SCHEMA, which names the values, and sends a FRAME for each moment once
 SCHEMA_ACK has confirmed the schema. A phone whose user enters the address of this computer starts with SCHEMA. PING

@@ -1,4 +1,4 @@
-"""iFacialMocap and Facemotion3d, versions 1 and 2, which are text; for version 3 see `face_motion` (docs/streams.md).
+"""iFacialMocap and Facemotion3d, versions 1 and 2, which are text; for version 3 see `face_motion` (streams.md).
 
 The phone sends only after a start message. A packet is `name-percent|...|` (1) or `name&percent|...|` (2), followed by
 the head's angles in degrees and its position in metres after `=head#`, and the angles of the eyes. Other programs write

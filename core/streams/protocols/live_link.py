@@ -1,4 +1,4 @@
-"""Live Link Face, sent by Epic's iPhone app in its ARKit mode and received by Unreal Engine (docs/streams.md).
+"""Live Link Face, sent by Epic's iPhone app in its ARKit mode and received by Unreal Engine (streams.md).
 
 All numbers are big-endian: the version as a byte; the device and the subject, each as its length and UTF-8; the number
 of the frame, its fraction, the rate's numerator and denominator; and, if there is a face, a count of 61 and as many

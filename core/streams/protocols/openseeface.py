@@ -1,4 +1,4 @@
-"""OpenSeeFace: landmarks in the format that its tracker sends to VTuber programs (docs/streams.md).
+"""OpenSeeFace: landmarks in the format that its tracker sends to VTuber programs (streams.md).
 
 A datagram contains 1,785 little-endian bytes per face; none is sent while there is no face. Its 66 points differ from
 Facemime's: both leave out two of iBUG's 68, but OpenSeeFace keeps the inner corners of the mouth, as numbers 58 and 62,

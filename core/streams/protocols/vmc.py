@@ -1,4 +1,4 @@
-"""The VMC protocol: OSC between VTuber programs, with the expressions of VRM or ARKit (docs/streams.md)."""
+"""The VMC protocol: OSC between VTuber programs, with the expressions of VRM or ARKit (streams.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""VRCFaceTracking: OSC from headsets to the parameters of avatars in VRChat (docs/streams.md).
+"""VRCFaceTracking: OSC from headsets to the parameters of avatars in VRChat (streams.md).
 
 A parameter is a number, or several bits of it. An avatar has only some of the parameters, which overlap, and a sender
 may send only those that changed.

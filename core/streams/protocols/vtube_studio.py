@@ -1,4 +1,4 @@
-"""VTube Studio's iPhone app and MeowFace: JSON, sent for as long as a request allows (docs/streams.md)."""
+"""VTube Studio's iPhone app and MeowFace: JSON, sent for as long as a request allows (streams.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Facemime's own stream: one self-contained datagram per frame (docs/streams.md).
+"""Facemime's own stream: one self-contained datagram per frame (streams.md).
 
 A frame of landmarks takes 482 bytes and a signature: 122 to 126 kbit/s at 30 frames per second, including all headers.
 It does not depend on the tracker's model. All numbers are big-endian.

@@ -1,4 +1,4 @@
-"""Learning of the network that corrects the fit of coefficients (docs/method.md, section 9.3)."""
+"""Learning of the network that corrects the fit of coefficients (method.md, section 9.3)."""
 
 from __future__ import annotations
 

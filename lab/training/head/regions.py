@@ -2,7 +2,7 @@
 
 Across a slit the change is sharp, lid from lid and lip from lip, inner rims included. Beyond the corners the regions
 overlap along the lines on which the muscles meet: from the outer corner of the eye to the temple, over the bridge of
-the nose, and from the corner of the mouth down to the angle of the jaw (docs/method.md, section 5.3).
+the nose, and from the corner of the mouth down to the angle of the jaw (method.md, section 5.3).
 """
 
 from __future__ import annotations

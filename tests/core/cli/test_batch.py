@@ -279,7 +279,7 @@ def test_dask_is_imported_only_if_requested():
 def test_a_lock_is_exclusive_and_ends_with_its_process(tmp_path):
     lock, log = tmp_path / "a.lock", tmp_path / "log"
     script = (
-        "import sys, time; from pathlib import Path; from facemime.core.files import locked\n"
+        "import sys, time; from pathlib import Path; from facemime.core.files.writing import locked\n"
         "log = open(sys.argv[2], 'a')\n"
         "for i in range(10):\n"
         "    with locked(Path(sys.argv[1])):\n"

@@ -226,7 +226,7 @@ def test_invalid_commands_are_refused_with_the_reason(arguments, wanted, tmp_pat
 
 
 def test_the_documented_receiver_reads_what_is_sent_and_needs_only_numpy(tmp_path):
-    document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
+    document = (Path(facemime.__file__).parent / "docs" / "guides" / "streams.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", document, flags=re.DOTALL)
     port, out, take = free_port(), tmp_path / "shapes.npy", performance()
     line = [sys.executable, "-I", "-c", code, str(port), "20", str(out)]
@@ -241,7 +241,7 @@ def test_the_documented_receiver_reads_what_is_sent_and_needs_only_numpy(tmp_pat
 
 
 def test_every_protocol_is_documented_with_its_port():
-    document = (Path(facemime.__file__).parent / "docs" / "streams.md").read_text(encoding="utf-8")
+    document = (Path(facemime.__file__).parent / "docs" / "guides" / "streams.md").read_text(encoding="utf-8")
     for name, protocol in PROTOCOLS.items():
         rows = [line for line in document.splitlines() if line.startswith("|") and f"`{name}`" in line]
         (row,) = [row for row in rows if protocol.connected or "TCP" not in row]

@@ -1,4 +1,4 @@
-"""Features and motions that are transferred from known heads (docs/method.md, section 5.5)."""
+"""Features and motions that are transferred from known heads (method.md, section 5.5)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lids that meet along their whole rims (docs/method.md, section 5.6)."""
+"""Lids that meet along their whole rims (method.md, section 5.6)."""
 
 from __future__ import annotations
 

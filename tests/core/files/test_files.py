@@ -144,7 +144,7 @@ def test_files_that_cannot_be_replaced_are_reported_before_the_work(tmp_path, mo
 def test_an_output_is_claimed_until_its_process_ends_or_crashes(tmp_path):
     output = tmp_path / "made" / "take.facetake"
     text = (
-        "from facemime.core.files import claimed\n"
+        "from facemime.core.files.writing import claimed\n"
         "with claimed(Path(sys.argv[1])):\n    print('mine', flush=True)\n    sys.stdin.read()"
     )
     for end in ("leave", "kill"):
@@ -166,7 +166,7 @@ def test_an_output_is_claimed_until_its_process_ends_or_crashes(tmp_path):
 
 def test_the_next_run_deletes_only_what_a_killed_one_left(tmp_path):
     text = (
-        "from facemime.core.files import replacing\n"
+        "from facemime.core.files.writing import replacing\n"
         "with replacing(Path(sys.argv[1])) as path:\n    print(path.name, flush=True)\n    time.sleep(600)"
     )
     kept = {".facemime-notes.txt", ".out-abc.mp4", "a.lock", ".facemime-0123456789abcdef.mp4"}

@@ -251,14 +251,14 @@ def test_a_killed_recording_loses_at_most_its_last_second(tmp_path):
     path = tmp_path / "take.facetake"
     script = (
         "import sys; from pathlib import Path; from facemime.core.takes.file import TakeWriter\n"
-        "from takes import performance\n"
+        "from tests.helpers.takes import performance\n"
         "take = performance(500); writer = TakeWriter(Path(sys.argv[1]), take.info)\n"
         "for i in range(500):\n"
         "    writer.append(float(take.times[i]), take.result(i)); print(i, flush=True)\n"
         "    if i == 110: sys.stdin.read()\n"
     )
     arguments = [sys.executable, "-c", script, str(path)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[3])}
     with subprocess.Popen(arguments, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=environment) as process:
         while process.stdout.readline().strip() != b"110":
             assert process.poll() is None
@@ -315,7 +315,7 @@ def test_the_last_description_is_read(tmp_path):
 
 
 def test_the_documented_reader_agrees_with_facemime_and_needs_only_numpy(written, tmp_path):
-    document = (Path(facemime.__file__).parent / "docs" / "takes.md").read_text(encoding="utf-8")
+    document = (Path(facemime.__file__).parent / "docs" / "guides" / "takes.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", document, flags=re.DOTALL)
     assert set(re.findall(r"\b(?:import|from) (.+)", code)) == {"json, struct, sys, zlib", "numpy as np"}
     (tmp_path / "take.facetake").write_bytes(written)
@@ -331,7 +331,7 @@ def test_the_documented_reader_agrees_with_facemime_and_needs_only_numpy(written
 
 
 def test_the_documented_columns_and_steps_are_those_of_the_format():
-    document = (Path(facemime.__file__).parent / "docs" / "takes.md").read_text(encoding="utf-8")
+    document = (Path(facemime.__file__).parent / "docs" / "guides" / "takes.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"^columns = .*?\n(?=times)", document, flags=re.DOTALL | re.MULTILINE)
     stated: dict = {}
     exec(code, stated)
