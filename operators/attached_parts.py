@@ -7,7 +7,6 @@ does this belongs to the undo group of the user's step, which it extends: a sing
 from __future__ import annotations
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..blender.contexts import in_a_window
 from ..blender.heads import attached
@@ -90,7 +89,6 @@ def _is_editing(window: bpy.types.Window) -> bool:
     return any(name.startswith(("TRANSFORM_OT", "OBJECT_OT")) for name in names)
 
 
-@persistent
 def _updated(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     if not (graph.id_type_updated("SCENE") or graph.id_type_updated("COLLECTION")):
         return
@@ -99,13 +97,11 @@ def _updated(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
         watch(attend, _INTERVAL)
 
 
-@persistent
 def _undone(*_: object) -> None:
     _Watch.undone, _Watch.known = attached.unfinished().summary, _present()
     _Watch.hidden = attached.hidden_heads(bpy.context.view_layer)
 
 
-@persistent
 def _opened(*_: object) -> None:
     attached.attach_all()
     attached.finish(attached.unfinished(), _present())

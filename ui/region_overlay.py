@@ -10,7 +10,6 @@ from time import perf_counter
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 from mathutils import Matrix
 
 from ..blender.meshes import is_head, read_regions
@@ -133,7 +132,6 @@ def _buffer(gpu, name: str, length: int, values: np.ndarray):
     return buffer
 
 
-@persistent
 def _on_update(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph) -> None:
     """Mark the cache as stale if a mesh has changed; a puppet and playback only move vertices."""
     if _Cache.stale or not scene.facemime_steps.show_regions or running() is not None:

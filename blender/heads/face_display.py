@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator
 from typing import ClassVar
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..characters import objects_of
 from ..surfaces import ShownColours
@@ -107,19 +106,16 @@ def _shapes(meshes: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     return [shape for shape in shapes if shape.name in there and shape.visible_get()]
 
 
-@persistent
 def _before_saving(*_: object) -> None:
     for display in FaceDisplay.open:
         display.revert()
 
 
-@persistent
 def _after_saving(*_: object) -> None:
     for display in FaceDisplay.open:
         display.apply()
 
 
-@persistent
 def _forget(*_: object) -> None:
     FaceDisplay.open.clear()
 
