@@ -276,8 +276,10 @@ class LiveSession(Session):
         FacemimeError
             If the end of the file cannot be written, or the file cannot be read.
         """
+        recording = self.recording
+        assert recording is not None
         try:
-            self.recording.stop()
+            recording.stop()
         finally:
             self._add_to_list()
 

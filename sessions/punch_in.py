@@ -6,6 +6,7 @@ from time import perf_counter
 from typing import Protocol
 
 import bpy
+import numpy as np
 
 from ..blender.contexts import in_a_window
 from ..blender.timeline import frames_of
@@ -65,7 +66,7 @@ class PunchIn:
         self._sync_mode = scene.sync_mode
         self._begin = perf_counter() + lead
         scene.sync_mode = "AUDIO_SYNC"
-        scene.frame_set(round(frames_of(scene, start - lead, take_start(scene))))
+        scene.frame_set(round(float(frames_of(scene, np.array(start - lead), take_start(scene)))))
         screen = bpy.context.screen
         if screen is not None and not screen.is_animation_playing:
             bpy.ops.screen.animation_play()

@@ -200,8 +200,10 @@ def _references() -> Iterator[tuple[Any, str]]:
             if data.library is None and data.filepath:
                 yield data, "filepath"
     for obj in bpy.data.objects:
-        for modifier in obj.modifiers if obj.library is None else ():
-            if modifier.type == "MESH_CACHE" and modifier.filepath:
+        if obj.library is not None:
+            continue
+        for modifier in obj.modifiers:
+            if isinstance(modifier, bpy.types.MeshCacheModifier) and modifier.filepath:
                 yield modifier, "filepath"
 
 

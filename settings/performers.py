@@ -13,6 +13,7 @@ import bpy
 
 from ..core.errors import FacemimeError
 from ..core.takes.neutral import Neutral
+from .properties import FacemimePerformer
 
 if TYPE_CHECKING:
     from .properties import FacemimePerformer, FacemimeSettings

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.messages import interface as _
+from ..blender.stubs import Icon
 from ..core.streams.source import StreamSource
 from ..core.tracking.hidden_mouth import is_hidden
 from ..operators.puppet import running
@@ -55,7 +56,7 @@ def _hidden() -> str:
     return _("The mouth is covered and stays as it was")
 
 
-def summary(session: LiveSession) -> tuple[str, str]:
+def summary(session: LiveSession) -> tuple[str, Icon]:
     """Return the most important line about a session, and its icon: what is wrong, or otherwise how fast it is."""
     worker, latest = session.worker, session.shown
     if (error := worker.message or (worker.recording_error and str(worker.recording_error))) and error:
@@ -76,9 +77,10 @@ def summary(session: LiveSession) -> tuple[str, str]:
     return latency_text(session), "PREVIEW_RANGE"
 
 
-def status_lines(session: LiveSession) -> list[tuple[str, str]]:
+def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     """Return (text, icon) of each line: errors, then the delay, then the counts."""
-    worker, lines = session.worker, []
+    worker = session.worker
+    lines: list[tuple[str, Icon]] = []
     if worker.message:
         lines.append((worker.message, "ERROR"))
     if worker.recording_error is not None:
@@ -116,9 +118,10 @@ def received() -> StreamSource | None:
     return source if isinstance(source, StreamSource) else None
 
 
-def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
+def _stream_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     """Return the counts of packets received over the network, and of frames sent."""
-    lines, source, output = [], session.worker.source, session.worker.output
+    source, output = session.worker.source, session.worker.output
+    lines: list[tuple[str, Icon]] = []
     if isinstance(source, StreamSource):
         counts = source.counts
         wrong = counts.malformed + counts.refused + counts.flooded

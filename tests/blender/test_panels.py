@@ -299,7 +299,7 @@ _ELSEWHERE = frozenset(
 def reachable(menu: type) -> set[str]:
     """Return the operators of a menu and of its submenus."""
     layout = Layout()
-    menu.draw(SimpleNamespace(layout=layout), bpy.context)
+    menu.draw(SimpleNamespace(layout=layout, entries=getattr(menu, "entries", ())), bpy.context)
     found = {call[1].removeprefix("facemime.") for call in layout.calls if call[0].startswith("operator") and call[1:]}
     submenus = (getattr(bpy.types, call[1]) for call in layout.calls if call[0] == "menu")
     return found.union(*(reachable(each) for each in submenus))
