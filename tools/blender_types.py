@@ -45,6 +45,9 @@ _VALUES = {
     "FloatProperty": "builtins.float",
     "StringProperty": "builtins.str",
 }
+_VECTORS = {
+    name.replace("Property", "VectorProperty"): kind for name, kind in _VALUES.items() if name != "StringProperty"
+}
 _POINTERS = {
     "bpy.types.Scene.facemime": "facemime.settings.properties.FacemimeSettings",
     "bpy.types.Scene.facemime_steps": "facemime.settings.panel_properties.FacemimeSteps",
@@ -134,8 +137,9 @@ class BlenderTypes(Plugin):
 def _declare_properties(context: ClassDefContext) -> None:
     calls = _property_calls(_path(context.api))
     for statement in context.cls.defs.body:
-        if isinstance(statement, AssignmentStmt) and statement.line in calls:
-            statement.type = statement.unanalyzed_type = _value_type(calls[statement.line], context.api)
+        call = calls.get(statement.line) if isinstance(statement, AssignmentStmt) else None
+        if isinstance(statement, AssignmentStmt) and call and (kind := _value_type(call, context.api)):
+            statement.type = statement.unanalyzed_type = kind
 
 
 def _path(api: SemanticAnalyzerPluginInterface) -> str:
@@ -168,6 +172,8 @@ def _value_type(call: ast.Call, api: SemanticAnalyzerPluginInterface) -> Type | 
         return UnionType([group, NoneType()]) if arguments["type"].startswith("bpy.types.") else group
     if name == "CollectionProperty":
         return UnboundType("bpy.types.bpy_prop_collection_idprop", [UnboundType(arguments["type"])])
+    if name in _VECTORS:
+        return UnboundType("bpy.types.bpy_prop_array", [api.named_type(_VECTORS[name])])
     return None
 
 
