@@ -29,7 +29,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
 
-    _session: TrackingSession
+    _session: TrackingSession | None = None
     _head: str = ""
 
     @classmethod
@@ -58,11 +58,11 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Show the progress; Esc stops tracking and bakes the frames so far."""
         if event.type == "ESC":
-            self._session.stop()
+            self._tracked.stop()
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if self._session.tracking:
-            done, total = self._session.done, self._session.total
+        if self._tracked.tracking:
+            done, total = self._tracked.done, self._tracked.total
             context.window_manager.progress_update(done / max(total, 1))
             progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")
             context.workspace.status_text_set(progress.format(done=done, total=total))
@@ -79,7 +79,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             If nothing was tracked, or the take cannot be baked.
         """
         try:
-            take = self._session.take()
+            take = self._tracked.take()
             name = self._keep(context, take) if take.found.any() else ""
             try:
                 return self.bake(context, context.scene.objects.get(self._head), take)
@@ -90,10 +90,16 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         finally:
             self.cancel(context)
 
+    @property
+    def _tracked(self) -> TrackingSession:
+        """The session until it ends."""
+        assert self._session is not None
+        return self._session
+
     def _keep(self, context: bpy.types.Context, take: Take) -> str:
         """Add the take to the list; return its name, or "" if it cannot be written: it can be baked anyway."""
         try:
-            return takes_store.keep(context.scene, take, self._session.video.stem).name
+            return takes_store.keep(context.scene, take, self._tracked.video.stem).name
         except FacemimeError as error:
             report(self, str(error), "WARNING")
             return ""
@@ -116,7 +122,9 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     def cancel(self, context: bpy.types.Context) -> None:
         """End the session and the timer; may be called twice."""
         redraw(context, "UI")
-        self._session.close()
+        if self._session is not None:
+            self._session.close()
+        self._session = None
         self.stop_ticking(context)
 
 
