@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import ceil, floor
+from typing import Any
 
 import bpy
 import numpy as np
@@ -37,14 +38,14 @@ class Curve:
 
     data_path: str
     index: int
-    values: NDArray[np.floating]
+    values: NDArray[np.floating[Any]]
     tolerance: float | None = None
 
 
 def write_curves(
     owner: bpy.types.ID,
     name: str,
-    frames: NDArray[np.floating],
+    frames: NDArray[np.floating[Any]],
     curves: Iterable[Curve],
     *,
     nla: bool = False,
@@ -134,9 +135,9 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
     for track in tracks_of_bakes(owner):
         for strip in [strip for strip in track.strips if is_baked(strip)]:
             track.strips.remove(strip)
-        if not track.strips:
+        if data is not None and not track.strips:
             data.nla_tracks.remove(track)
-    if owned := owned_paths(data):
+    if data is not None and (owned := owned_paths(data)):
         fcurves = curves_in(data)
         for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path in owned]:
             fcurves.remove(fcurve)
@@ -148,10 +149,12 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
 def _fill(
     owner: bpy.types.ID,
     holder: bpy.types.AnimData | bpy.types.NlaStrip,
-    frames: NDArray[np.floating],
+    frames: NDArray[np.floating[Any]],
     curves: Sequence[Curve],
 ) -> None:
-    linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
+    interpolation = bpy.types.Keyframe.bl_rna.properties["interpolation"]
+    assert isinstance(interpolation, bpy.types.EnumProperty)
+    linear = interpolation.enum_items["LINEAR"].value
     fcurves = curves_to_fill(owner, holder)
     for curve in curves:
         if (old := fcurves.find(curve.data_path, index=curve.index)) is not None:
@@ -168,7 +171,7 @@ def _fill(
 
 
 def _push(
-    owner: bpy.types.ID, name: str, frames: NDArray[np.floating], curves: Sequence[Curve], *, add: bool = False
+    owner: bpy.types.ID, name: str, frames: NDArray[np.floating[Any]], curves: Sequence[Curve], *, add: bool = False
 ) -> None:
     """Write the curves to a new action on a new track; the owner's active action is kept."""
     data = owner.animation_data or owner.animation_data_create()
@@ -186,10 +189,10 @@ def _push(
         strip.blend_type = "ADD" if isinstance(owner, bpy.types.Key) else "COMBINE"
 
 
-def _push_down(owner: bpy.types.ID, frames: NDArray[np.floating]) -> None:
+def _push_down(owner: bpy.types.ID, frames: NDArray[np.floating[Any]]) -> None:
     """Put the active action onto a track of its own, which plays the same, so that others can be added to it."""
     data = owner.animation_data
-    if data.action is None:
+    if data is None or data.action is None:
         return
     action, slot = data.action, getattr(data, "action_slot", None)
     track = data.nla_tracks.new()

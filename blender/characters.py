@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import bpy
 import cv2
@@ -21,8 +22,9 @@ from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import sphere_of_lids
 from ..core.heads.parts import FaceParts, Part
 from ..core.numeric import linalg
+from .armatures import posed_bones, rest_bones
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
-from .meshes import can_be_driven, driven_by_keys, read_faces, read_vertices
+from .meshes import can_be_driven, driven_by_keys, mesh_of, read_faces, read_vertices
 from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
 from .own_pose import own_mode, own_pose
 
@@ -50,16 +52,16 @@ class Member:
     part: slice
     to_mesh: NDArray[np.float64]
 
-    def local(self, vertices: NDArray[np.floating]) -> NDArray[np.float32]:
+    def local(self, vertices: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Convert the member's share of (A, 3) vertices to its mesh, as the flat array that `foreach_set` takes."""
         own = np.ascontiguousarray(vertices[self.part], dtype=np.float32)
-        return cv2.transform(own.reshape(1, -1, 3), self.to_mesh).reshape(-1)
+        return np.asarray(cv2.transform(own.reshape(1, -1, 3), self.to_mesh), dtype=np.float32).reshape(-1)
 
-    def local_offsets(self, offsets: NDArray[np.floating]) -> NDArray[np.float32]:
+    def local_offsets(self, offsets: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Convert the member's share of (..., A, 3) displacements to its mesh."""
         return np.asarray(offsets[..., self.part, :] @ self.to_mesh[:, :3].T, dtype=np.float32)
 
-    def head_offsets(self, offsets: NDArray[np.floating]) -> NDArray[np.float32]:
+    def head_offsets(self, offsets: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Convert (..., n, 3) displacements of its mesh to the head frame."""
         return np.asarray(offsets @ self._to_head, dtype=np.float32)
 
@@ -77,15 +79,15 @@ def members_of(head: bpy.types.Object) -> list[Member]:
     head : bpy.types.Object
         A mesh with landmarks.
     """
-    start = len(head.data.vertices)
+    start = len(mesh_of(head).vertices)
     members = [Member(head, slice(0, start), np.column_stack([HEAD_TO_BLENDER, np.zeros(3)]))]
     to_head = rest_matrix(head).inverted_safe()
     for obj in objects_of(head):
-        if not np.isin(_rigid(head, read_kinds(obj.data)), _MOVED).any():
+        if not np.isin(_rigid(head, read_kinds(mesh_of(obj))), _MOVED).any():
             continue
         to_mesh = np.array((to_head @ rest_matrix(obj)).inverted_safe())[:3]
         to_mesh[:, :3] = to_mesh[:, :3] @ HEAD_TO_BLENDER
-        stop = start + len(obj.data.vertices)
+        stop = start + len(mesh_of(obj).vertices)
         members.append(Member(obj, slice(start, stop), to_mesh))
         start = stop
     return members
@@ -125,12 +127,8 @@ def pointed_to(owner: bpy.types.Object, obj: bpy.types.Object | None) -> bpy.typ
     if not isinstance(obj, bpy.types.Object) or not _is_foreign(owner, obj):
         return obj
     overrides = [other for other in bpy.data.objects if other.override_library is not None]
-    root = owner.override_library.hierarchy_root
-    found = [
-        other
-        for other in overrides
-        if other.override_library.reference == obj and other.override_library.hierarchy_root == root
-    ]
+    root = _root(owner)
+    found = [other for other in overrides if _root(other) == root and _reference(other) == obj]
     return min(found, key=lambda other: other.parent != owner, default=obj)
 
 
@@ -143,7 +141,7 @@ def part_table(head: bpy.types.Object) -> list[tuple[bpy.types.Object, Part, int
     """Return the parts of each mesh of the face of `head`, and how many vertices each has; the head comes first."""
     table = []
     for obj in (head, *objects_of(head)):
-        counts = np.bincount(read_kinds(obj.data), minlength=len(Part))
+        counts = np.bincount(read_kinds(mesh_of(obj)), minlength=len(Part))
         table += [(obj, part, int(counts[part])) for part in Part if counts[part]]
     return table
 
@@ -158,9 +156,9 @@ def set_part(obj: bpy.types.Object, part: Part, of: NDArray[np.bool_]) -> None:
     of : (V,) bool
         The vertices.
     """
-    kinds = read_kinds(obj.data)
+    kinds = read_kinds(mesh_of(obj))
     kinds[of] = part
-    write_kinds(obj.data, kinds)
+    write_kinds(mesh_of(obj), kinds)
 
 
 def head_of(obj: bpy.types.Object) -> bpy.types.Object:
@@ -177,16 +175,18 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
     Eyes that bones rotate count as part of the head, as only the bones move them within it.
     """
     members = members_of(head)
-    kinds = np.concatenate([_rigid(head, read_kinds(member.obj.data)) for member in members])
+    kinds = np.concatenate([_rigid(head, read_kinds(mesh_of(member.obj))) for member in members])
     if driven_by_keys(head):  # its keys move every part
-        kinds[:] = np.where(np.arange(len(kinds)) < len(head.data.vertices), Part.SKIN, Part.ON_HEAD)
+        kinds[:] = np.where(np.arange(len(kinds)) < len(mesh_of(head).vertices), Part.SKIN, Part.ON_HEAD)
     if not kinds.any():
         return None
     others, faces = [np.empty((0, 3), dtype=np.float32)], [np.empty((0, 3), dtype=np.int32)]
     for member in members[1:]:
         back = linalg.inv(np.vstack([member.to_mesh, [0.0, 0.0, 0.0, 1.0]]))[:3]
-        others.append(cv2.transform(to_blender(read_vertices(member.obj.data)).reshape(1, -1, 3), back).reshape(-1, 3))
-        own = read_faces(member.obj.data)
+        mesh = mesh_of(member.obj)
+        places = cv2.transform(to_blender(read_vertices(mesh)).reshape(1, -1, 3), back)
+        others.append(np.asarray(places, dtype=np.float32).reshape(-1, 3))
+        own = read_faces(mesh)
         faces.append(np.where(own >= 0, own + member.part.start, -1))
     return FaceParts(kinds, np.concatenate(others), _stacked(faces))
 
@@ -204,15 +204,15 @@ def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], 
     to_head = rest_matrix(head).inverted_safe()
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)], 0
     for obj in (head, *objects_of(head)):
-        within = read_kinds(obj.data) == part
+        within = read_kinds(mesh_of(obj)) == part
         if not within.any():
             continue
         move = np.array(to_head @ rest_matrix(obj))
-        places = to_blender(read_vertices(obj.data)) @ move[:3, :3].T + move[:3, 3]
+        places = to_blender(read_vertices(mesh_of(obj))) @ move[:3, :3].T + move[:3, 3]
         vertices.append(from_blender(places[within]))
         number = np.full(len(within) + 1, -1, dtype=np.int32)
         number[:-1][within] = start + np.arange(within.sum())
-        own = read_faces(obj.data)
+        own = read_faces(mesh_of(obj))
         faces.append(number[own[((number[own] >= 0) | (own < 0)).all(axis=1)]])
         start += int(within.sum())
     return np.concatenate(vertices), _stacked(faces)
@@ -245,7 +245,7 @@ def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:
     return np.where(np.isin(kinds, list(Part)), kinds, np.int8(Part.ON_HEAD))
 
 
-def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer]) -> None:
+def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer[Any]]) -> None:
     """Store the part of each vertex of a mesh.
 
     Parameters
@@ -268,7 +268,7 @@ def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBon
     armature, stored = pointed_to(head, head.get(ARMATURE_PROPERTY)), head.get(BONES_PROPERTY)
     if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not hasattr(stored, "to_dict"):
         return None, FaceBones()
-    names = {key: str(name) for key, name in stored.to_dict().items() if str(name) in armature.pose.bones}
+    names = {key: str(name) for key, name in stored.to_dict().items() if str(name) in posed_bones(armature)}
     return armature, FaceBones(**{key: names.get(key, "") for key in FaceBones.__dataclass_fields__})
 
 
@@ -341,10 +341,20 @@ def own_rotation(obj: bpy.types.Object) -> Matrix:
     return obj.rotation_euler.to_matrix()
 
 
+def _root(owner: bpy.types.ID) -> bpy.types.ID | None:
+    """Return the data-block at the top of the hierarchy that was overridden together with `owner`."""
+    return None if owner.override_library is None else owner.override_library.hierarchy_root
+
+
+def _reference(owner: bpy.types.ID) -> bpy.types.ID | None:
+    """Return the linked data-block that `owner` overrides."""
+    return None if owner.override_library is None else owner.override_library.reference
+
+
 def _parent_bone(obj: bpy.types.Object) -> bpy.types.Bone | None:
     parent = obj.parent
     if obj.parent_type == "BONE" and parent is not None and parent.type == "ARMATURE":
-        return parent.data.bones.get(obj.parent_bone)
+        return rest_bones(parent).get(obj.parent_bone)
     return None
 
 

@@ -51,7 +51,7 @@ def showing_scene(scene: bpy.types.Scene) -> Iterator[None]:
     """Show a scene for a while, so that the context has it: its objects are evaluated and operators find them."""
     window = bpy.context.window or next(iter(bpy.context.window_manager.windows), None)
     before = None if window is None else window.scene
-    if before in (None, scene):
+    if window is None or before in (None, scene):
         yield
         return
     window.scene = scene

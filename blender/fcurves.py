@@ -19,44 +19,59 @@ def slot_handle(holder: Holder) -> int:
     return 0 if slot is None else int(slot.handle)
 
 
+def action_name(holder: Holder) -> str:
+    """Return the name of the action that a holder plays; "" if it plays none."""
+    return "" if holder.action is None else holder.action.name
+
+
 def curves_in(holder: Holder | None) -> Any:
     """Return the curves that a holder plays, or an empty collection; nothing is created."""
-    action = None if holder is None else holder.action
-    if action is None:
+    if holder is None or (action := holder.action) is None:
         return ()
     if not hasattr(action, "slots"):
         return action.fcurves
     if holder.action_slot is None or not action.layers or not action.layers[0].strips:
         return ()
-    bag = action.layers[0].strips[0].channelbag(holder.action_slot)
+    bag = _keyframes(action.layers[0].strips[0]).channelbag(holder.action_slot)
     return () if bag is None else bag.fcurves
 
 
 def curves_to_fill(owner: bpy.types.ID, holder: Holder) -> Any:
     """Return the curves of a holder of `owner`, which has an action; a slot is added if actions have slots."""
-    action = holder.action
+    action = _action(holder)
     if not hasattr(action, "slots"):
         return action.fcurves
     if holder.action_slot is None:
         holder.action_slot = action.slots.new(id_type=owner.id_type, name=owner.name)
     layer = action.layers[0] if action.layers else action.layers.new("Facemime")
     strip = layer.strips[0] if layer.strips else layer.strips.new(type="KEYFRAME")
-    return strip.channelbag(holder.action_slot, ensure=True).fcurves
+    return _keyframes(strip).channelbag(holder.action_slot, ensure=True).fcurves
+
+
+def _action(holder: Holder) -> bpy.types.Action:
+    """Return the action of a holder that has one."""
+    assert holder.action is not None
+    return holder.action
+
+
+def _keyframes(strip: bpy.types.ActionStrip) -> bpy.types.ActionKeyframeStrip:
+    """Return a strip of an action as the only kind there is so far."""
+    assert isinstance(strip, bpy.types.ActionKeyframeStrip)
+    return strip
 
 
 def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
     """Return a curve of the slot with a handle; an action without slots has a single set of curves."""
     if not hasattr(action, "slots"):
         return action.fcurves.find(path, index=index)
-    bags = (bag for layer in action.layers for strip in layer.strips for bag in strip.channelbags)
+    bags = (bag for layer in action.layers for strip in layer.strips for bag in _keyframes(strip).channelbags)
     found = (bag.fcurves.find(path, index=index) for bag in bags if bag.slot_handle == handle)
     return next((curve for curve in found if curve is not None), None)
 
 
 def owned_paths(holder: Holder | None) -> set[str]:
     """Return the data paths of the curves of a holder that Facemime made."""
-    action = None if holder is None else holder.action
-    if action is None:
+    if holder is None or (action := holder.action) is None:
         return set()
     lines = "\n".join(str(action.get(name, "")) for name in _names(holder))
     return set(filter(None, lines.split("\n")))
@@ -64,14 +79,15 @@ def owned_paths(holder: Holder | None) -> set[str]:
 
 def own_paths(holder: Holder, paths: Iterable[str]) -> None:
     """Note that Facemime made the curves of these data paths."""
-    holder.action[_names(holder)[-1]] = "\n".join(sorted(owned_paths(holder).union(paths)))
+    _action(holder)[_names(holder)[-1]] = "\n".join(sorted(owned_paths(holder).union(paths)))
 
 
 def disown_paths(holder: Holder) -> None:
     """Note that Facemime made no curve of a holder."""
+    action = _action(holder)
     for name in _names(holder):
-        if name in holder.action:
-            holder.action[name] = ""
+        if name in action:
+            action[name] = ""
 
 
 def _names(holder: Holder) -> list[str]:

@@ -29,7 +29,7 @@ def flat_in_blender(vertices: NDArray[np.float32]) -> NDArray[np.float32]:
 
     OpenCV needs twice the time of a copy for this, and numpy five times.
     """
-    return cv2.transform(vertices.reshape(1, -1, 3), HEAD_TO_BLENDER).reshape(-1)
+    return np.asarray(cv2.transform(vertices.reshape(1, -1, 3), HEAD_TO_BLENDER), dtype=np.float32).reshape(-1)
 
 
 def from_blender(points: ArrayLike) -> FloatArray:

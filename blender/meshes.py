@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 from numpy.typing import NDArray
@@ -30,13 +32,26 @@ def exists(block: bpy.types.ID) -> bool:
         return False
 
 
-def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
-    """Return the mesh of `obj`; raises HeadError if there is no object or it is not a mesh."""
+def object_of(obj: bpy.types.Object | None) -> bpy.types.Object:
+    """Return `obj`; raises HeadError if there is no object."""
     if obj is None:
         raise HeadError("There is no active object. Add a head with Add > Mesh > Facemime Head, or select one.")
+    return obj
+
+
+def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
+    """Return the mesh of `obj`; raises HeadError if there is no object or it is not a mesh."""
+    obj = object_of(obj)
     if not isinstance(obj.data, bpy.types.Mesh):
         raise HeadError(f"{obj.name} is not a mesh. Select a head mesh, or add one with Add > Mesh > Facemime Head.")
     return obj.data
+
+
+def keys_of(obj: bpy.types.Object) -> bpy.types.Key:
+    """Return the shape keys of a mesh that has some."""
+    keys = mesh_of(obj).shape_keys
+    assert keys is not None, f"{obj.name} has no shape keys"
+    return keys
 
 
 def require_own(mesh: bpy.types.Mesh) -> None:
@@ -180,7 +195,7 @@ def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
     return numbers.astype(np.intp) if numbers.dtype.kind in "iu" and numbers.ndim <= 1 else None
 
 
-def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> None:
+def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer[Any]]) -> None:
     """Store landmarks in custom properties of a mesh, which undo, saving, copying and renaming preserve.
 
     Parameters
@@ -201,7 +216,7 @@ def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer]) -> Non
 
 def key_names(obj: bpy.types.Object) -> list[str]:
     """Return the names of the user's shape keys of `obj`: neither the Basis nor those that Facemime made."""
-    keys = obj.data.shape_keys
+    keys = mesh_of(obj).shape_keys
     if keys is None:
         return []
     return [
@@ -249,7 +264,7 @@ def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
     if group is None:
         return np.empty(0, dtype=np.intp)
     number = group.index
-    within = [v.index for v in obj.data.vertices if any(element.group == number for element in v.groups)]
+    within = [v.index for v in mesh_of(obj).vertices if any(element.group == number for element in v.groups)]
     return np.array(within, dtype=np.intp)
 
 
@@ -263,9 +278,9 @@ def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
     name : str
         Name of a vertex group.
     """
-    weights = np.zeros(len(obj.data.vertices), dtype=np.float32)
+    weights = np.zeros(len(mesh_of(obj).vertices), dtype=np.float32)
     if (group := obj.vertex_groups.get(name)) is not None:
-        for vertex in obj.data.vertices:
+        for vertex in mesh_of(obj).vertices:
             for element in vertex.groups:
                 if element.group == group.index:
                     weights[vertex.index] = element.weight
@@ -301,12 +316,12 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
     HeadError
         If one of the vertex groups is missing.
     """
-    groups = [obj.vertex_groups.get(name) for name in REGION_GROUPS]
-    if missing := [name for name, group in zip(REGION_GROUPS, groups, strict=True) if group is None]:
+    groups = [group for name in REGION_GROUPS if (group := obj.vertex_groups.get(name)) is not None]
+    if missing := [name for name in REGION_GROUPS if name not in obj.vertex_groups]:
         raise HeadError(
             f"Missing vertex groups of {obj.name}: {', '.join(missing)}. Paint these regions, or use Reset Regions."
         )
-    vertices = obj.data.vertices[part]
+    vertices = mesh_of(obj).vertices[part]
     weights = np.zeros((len(groups), len(vertices)), dtype=np.float32)
     row_of = {group.index: row for row, group in enumerate(groups)}
     for place, vertex in enumerate(vertices):
@@ -316,7 +331,7 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
     return weights
 
 
-def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating]) -> None:
+def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating[Any]]) -> None:
     """Write the weights of the three regions; other vertex groups are left unchanged.
 
     Eyes that were cut out of the skin are removed from all regions, so that they stay in place under the lids.
@@ -332,7 +347,7 @@ def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating]) -> None:
     HeadError
         If the mesh is linked from another file.
     """
-    require_own(obj.data)
+    require_own(mesh_of(obj))
     shares = np.array(weights)
     shares[:, eye_vertices(obj)] = 0.0
     for name, row in zip(REGION_GROUPS, shares, strict=True):

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import bpy
 
-from .fcurves import curves_in, owned_paths
+from .fcurves import Holder, action_name, curves_in, owned_paths
 from .tracks import is_baked, tracked_strips
 
 _KEYS = 'key_blocks["Facemime '
@@ -44,7 +44,8 @@ def keyed_paths(owner: bpy.types.ID) -> set[str]:
     data = owner.animation_data
     if data is None:
         return set()
-    return {path for holder in (data, *strips_of(owner)) for path in _moved_paths(holder)}
+    holders: list[Holder] = [data, *strips_of(owner)]
+    return {path for holder in holders for path in _moved_paths(holder)}
 
 
 def varying_paths(owner: bpy.types.ID) -> set[str]:
@@ -52,7 +53,8 @@ def varying_paths(owner: bpy.types.ID) -> set[str]:
     data = owner.animation_data
     if data is None:
         return set()
-    curves = [curve for holder in (data, *strips_of(owner)) for curve in curves_in(holder)]
+    holders: list[Holder] = [data, *strips_of(owner)]
+    curves = [curve for holder in holders for curve in curves_in(holder)]
     return {curve.data_path for curve in curves if _varies(curve)} & keyed_paths(owner)
 
 
@@ -70,14 +72,14 @@ def curve_paths(owner: bpy.types.ID) -> set[str]:
     if data is None:
         return set()
     tracks = [track for track in data.nla_tracks if not track.mute or [_TRACK, track.name] in noted]
-    holders = [data, *(strip for track in tracks for strip in track.strips if not strip.mute)]
+    holders: list[Holder] = [data, *(strip for track in tracks for strip in track.strips if not strip.mute)]
     keyed = {
         curve.data_path
         for holder in holders
         for curve in curves_in(holder)
         if not curve.mute or [_CURVE, curve.data_path] in noted
     }
-    return keyed - set().union(*(owned_paths(holder) for holder in (data, *tracked_strips(owner))))
+    return keyed.difference(owned_paths(data), *map(owned_paths, tracked_strips(owner)))
 
 
 def strips_of(owner: bpy.types.ID) -> list[bpy.types.NlaStrip]:
@@ -108,8 +110,8 @@ def name_them(silenced: Iterable[Silenced]) -> str:
     for name, moved in silenced:
         groups.setdefault(name, {}).update({moved: None} if moved else {})
     texts = []
-    for name, moved in groups.items():
-        shown = [*moved][:_SHOWN] + (["..."] if len(moved) > _SHOWN else [])
+    for name, every in groups.items():
+        shown = [*every][:_SHOWN] + (["..."] if len(every) > _SHOWN else [])
         texts.append(f"{name} ({', '.join(shown)})" if shown else name)
     return ", ".join(texts)
 
@@ -134,7 +136,7 @@ def mute_paths(
     owned = owned_paths(data)
     for curve in curves_in(data) if curves else ():
         if curve.data_path in paths and not curve.mute and curve.data_path not in owned:
-            muted.append((_CURVE, curve.data_path, data.action.name))
+            muted.append((_CURVE, curve.data_path, action_name(data)))
             curve.mute = True
     for driver in data.drivers if drivers else ():
         if driver.data_path in paths and not driver.mute:
@@ -158,7 +160,7 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
     if data is None:
         return []
     chosen = [path for path in sorted(_moved_paths(data)) if paths is None or path in paths]
-    muted += [(_CURVE, path, data.action.name) for path in chosen]
+    muted += [(_CURVE, path, action_name(data)) for path in chosen]
     for curve in curves_in(data):
         if curve.data_path in chosen:
             curve.mute = True
@@ -232,7 +234,7 @@ def others_playing(owner: bpy.types.ID) -> list[str]:
     data = owner.animation_data
     if data is None:
         return []
-    action = [data.action.name] if _moved_paths(data) else []
+    action = [action_name(data)] if _moved_paths(data) else []
     return action + [track.name for track in _other_tracks(owner) if not track.mute]
 
 
@@ -243,5 +245,5 @@ def _moved_paths(holder: bpy.types.AnimData | bpy.types.NlaStrip) -> set[str]:
 
 def _other_tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
     """Return the NLA tracks with a strip that no bake wrote."""
-    tracks = owner.animation_data.nla_tracks
+    tracks = () if owner.animation_data is None else owner.animation_data.nla_tracks
     return [track for track in tracks if any(not is_baked(strip) for strip in track.strips)]

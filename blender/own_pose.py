@@ -75,7 +75,7 @@ def hold_own(owner: Posable, *, animated: bool = False) -> None:
         return
     stored = _unposed(owner, animated=animated)
     if isinstance(owner, bpy.types.Object) and owner.rotation_mode == "AXIS_ANGLE":
-        stored |= {"before": "AXIS_ANGLE", "quaternion": list(owner.rotation_quaternion)}
+        stored |= {"before": "AXIS_ANGLE", "quaternion": owner.rotation_quaternion[:]}
         owner.rotation_mode = "QUATERNION"
     owner[OWN_POSE_PROPERTY] = stored
 
@@ -84,7 +84,7 @@ def begin_live(owner: Posable) -> None:
     """End what an earlier session left, and remember the user's own pose until the session that begins has ended."""
     release_own(owner)
     hold_own(owner, animated=isinstance(owner, bpy.types.Object))
-    owner[OWN_POSE_PROPERTY] = {**_stored(owner), _LIVE: True}
+    owner[OWN_POSE_PROPERTY] = {**(_stored(owner) or {}), _LIVE: True}
 
 
 def move_own(owner: Posable, values: Mapping[tuple[str, int], float]) -> None:
@@ -165,7 +165,7 @@ def write_rotation(owner: Posable, rotation: Matrix) -> None:
         values: Any = rotation.to_quaternion()
     elif channel == "rotation_axis_angle":
         axis, angle = rotation.to_quaternion().to_axis_angle()
-        values = (angle, *axis)
+        values = (angle, *axis[:])
     else:
         values = rotation.to_euler(owner.rotation_mode, getattr(owner, f"{prefix}{channel}"))
     if hasattr(owner, f"{prefix}{channel}"):

@@ -49,7 +49,7 @@ def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector)
     found = [_beside(np.array(place), own, others, axis, side) for axis, side in _SIDES]
     middle = (own[0] + own[1]) / 2
     seen = [spot for spot in found if is_seen_by_camera(context, spot + middle, float(size.max()) / 2)]
-    return Vector((seen or found)[0])
+    return Vector((seen or found)[0].tolist())
 
 
 def _beside(
@@ -81,7 +81,7 @@ def is_seen_by_camera(context: bpy.types.Context, place: NDArray[np.float64], ra
         Its centre.
     radius : float
     """
-    scene, point = context.scene, Vector(place)
+    scene, point = context.scene, Vector(place.tolist())
     camera = scene.camera
     if camera is None:
         return False

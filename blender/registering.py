@@ -1,9 +1,9 @@
 """Registration of a module's classes, properties, handlers and timers with Blender.
 
 A module declares them by name. `CLASSES` are registered in order; `POINTERS` are (Blender type, name, property group);
-`HANDLERS` maps names in `bpy.app.handlers` to functions; `OVERLAYS` maps functions that draw in all 3D Viewports to the
-moment when they do; `TIMERS` are functions that `watch` may have started. For anything else a module defines
-`register`, which is called last, and `unregister`, which is called first.
+`HANDLERS` maps names in `bpy.app.handlers` to functions, which stay there when a file is loaded; `OVERLAYS` maps
+functions that draw in all 3D Viewports to the moment when they do; `TIMERS` are functions that `watch` may have
+started. For anything else a module defines `register`, which is called last, and `unregister`, which is called first.
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ def register_module(module: ModuleType) -> None:
     for owner, name, group in getattr(module, "POINTERS", ()):
         setattr(owner, name, PointerProperty(type=group))
     for name, handler in getattr(module, "HANDLERS", {}).items():
-        getattr(bpy.app.handlers, name).append(handler)
+        getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
     for draw, moment in getattr(module, "OVERLAYS", {}).items():
         _overlays[draw] = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", moment)
     if hasattr(module, "register"):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from typing import Any, TypedDict
 
 import bpy
 import numpy as np
@@ -13,12 +14,14 @@ from ..core.heads.eyeballs import fit_eyeball
 from ..core.heads.parts import same_parts
 from ..core.heads.regions import membership
 from ..core.heads.rig import HeadRig, jaw_pivot_of
+from ..core.numeric.arrays import FloatArray
 from .characters import part_eyeballs, read_parts
 from .frames import from_blender
 from .meshes import (
     driven_by_keys,
     eye_vertices,
     mesh_of,
+    object_of,
     read_corners,
     read_faces,
     read_places,
@@ -40,16 +43,17 @@ def read_rig(obj: bpy.types.Object | None) -> HeadRig:
     HeadError
         If the object is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
     """
-    mesh_of(obj)
+    obj = object_of(obj)
+    faces = read_faces(mesh_of(obj))
     quick = _read_quick_parts(obj)
     weights = _least_regions(obj) if driven_by_keys(obj) else read_regions(obj)
-    return HeadRig(**quick, region_weights=weights, faces=read_faces(obj.data), parts=read_parts(obj))
+    return HeadRig(**quick, region_weights=weights, faces=faces, parts=read_parts(obj))
 
 
 def _least_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
     """Return regions, (3, V), of only the landmarks' vertices, for a head that only its keys drive."""
     own = membership()
-    weights = np.zeros((len(own), len(obj.data.vertices)), dtype=np.float32)
+    weights = np.zeros((len(own), len(mesh_of(obj).vertices)), dtype=np.float32)
     weights[:, read_places(obj)] = own / own.sum(axis=0)
     return weights
 
@@ -79,15 +83,16 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
     parts = read_parts(obj)
     yield same_parts(parts, rig.parts)
     # The size of eyes that have turned differs by rounding.
+    quick: Mapping[str, Any] = {**_read_quick_parts(obj)}
     yield all(
         np.allclose(value, getattr(rig, name), rtol=1e-5, atol=1e-9)
         if name == "eyeballs" and len(value) == len(rig.eyeballs)
         else np.array_equal(value, getattr(rig, name))
-        for name, value in _read_quick_parts(obj).items()
+        for name, value in quick.items()
     )
     if rig.faces is not None:
         faces = mesh_of(obj).polygons
-        yield len(rig.faces) == len(faces) and np.array_equal(read_corners(obj.data), rig.faces[rig.faces >= 0])
+        yield len(rig.faces) == len(faces) and np.array_equal(read_corners(mesh_of(obj)), rig.faces[rig.faces >= 0])
     if driven_by_keys(obj):
         return
     for first in range(0, len(rig.vertices), _VERTICES_PER_CHECK):
@@ -96,7 +101,7 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
         yield np.array_equal(read_weights(obj, part), rig.region_weights[:, part])
 
 
-def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDArray[np.float64]:
+def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Return the eyeballs of a head, which are its children or parts of its mesh.
 
     Parameters
@@ -110,7 +115,7 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating]) -> NDA
     (E, 4) array
         Centre and radius of each, in the head frame of `obj`.
     """
-    points = read_vertices(obj.data)[eye_vertices(obj)].astype(np.float64)
+    points = read_vertices(mesh_of(obj))[eye_vertices(obj)].astype(np.float64)
     right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
     side = (points - (right + left) / 2.0) @ (left - right)
     eyeballs = [fit_eyeball(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
@@ -130,11 +135,21 @@ def _jaw_pivot(obj: bpy.types.Object, landmarks: NDArray[np.float32]) -> NDArray
     return jaw_pivot_of(landmarks)
 
 
-def _read_quick_parts(obj: bpy.types.Object) -> dict[str, NDArray | None]:
-    """Read everything of a rig except regions, faces and other parts, which take long."""
+class _QuickParts(TypedDict):
+    """Everything of a rig except regions, faces and other parts, which take long."""
+
+    vertices: NDArray[np.float32]
+    landmarks: NDArray[np.intp]
+    jaw_pivot: NDArray[np.float64]
+    eyeballs: NDArray[np.float64]
+    control_points: NDArray[np.bool_] | None
+    covariance: FloatArray | None
+
+
+def _read_quick_parts(obj: bpy.types.Object) -> _QuickParts:
     landmarks = read_places(obj)
-    selection = read_selection(obj.data)
-    vertices = read_vertices(obj.data)
+    selection = read_selection(mesh_of(obj))
+    vertices = read_vertices(mesh_of(obj))
     return {
         "vertices": vertices,
         "landmarks": landmarks,

@@ -20,23 +20,19 @@ def make_actions_own(owners: Iterable[bpy.types.ID]) -> None:
     owners : iterable of bpy.types.ID
         All data-blocks whose animation will be changed.
     """
-    animated = [owner for owner in dict.fromkeys(owners) if _active(owner) is not None]
+    playing = [(owner, data) for owner in dict.fromkeys(owners) if (data := owner.animation_data) is not None]
+    animated = [owner for owner, data in playing if data.action is not None]
     copies: dict[tuple[bpy.types.Action, int], bpy.types.Action] = {}
-    for owner in animated:
-        action, handle = owner.animation_data.action, slot_handle(owner.animation_data)
-        if (action, handle) not in copies and _plays_elsewhere(action, handle, animated):
+    for _, data in playing:
+        action, handle = data.action, slot_handle(data)
+        if action is not None and (action, handle) not in copies and _plays_elsewhere(action, handle, animated):
             copies[action, handle] = action.copy()
-    for owner in animated:
-        data = owner.animation_data
+    for _, data in playing:
         handle = slot_handle(data)
-        if (copy := copies.get((data.action, handle))) is not None:
+        if data.action is not None and (copy := copies.get((data.action, handle))) is not None:
             data.action = copy
             if handle:
                 data.action_slot = next(slot for slot in copy.slots if slot.handle == handle)
-
-
-def _active(owner: bpy.types.ID) -> bpy.types.Action | None:
-    return None if owner.animation_data is None else owner.animation_data.action
 
 
 def _plays_elsewhere(action: bpy.types.Action, handle: int, owners: list[bpy.types.ID]) -> bool:

@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Literal
 
 import bpy
+
+from .stubs import AlphaMode
 
 _MAX_BETWEEN = 2
 """Number of nodes of colour correction that may lie between an image and the shader."""
 
 
-def principled(material: bpy.types.Material | None) -> bpy.types.ShaderNode | None:
+def principled(material: bpy.types.Material | None) -> bpy.types.Node | None:
     """Return the first Principled BSDF of a material, or None."""
     tree = None if material is None else material.node_tree
     return next((node for node in tree.nodes if node.type == "BSDF_PRINCIPLED"), None) if tree is not None else None
@@ -22,8 +25,9 @@ def linked_image(socket: bpy.types.NodeSocket) -> bpy.types.ShaderNodeTexImage |
         if not socket.is_linked:
             return None
         node = socket.links[0].from_node
-        if node.type == "TEX_IMAGE":
+        if isinstance(node, bpy.types.ShaderNodeTexImage):
             return node
+        assert node is not None
         socket = next((one for one in node.inputs if one.type == "RGBA"), socket)
     return None
 
@@ -52,25 +56,26 @@ class ShownColours:
         self._before = _show_images(materials)
         textured = any(_colour_node(material) is not None for material in materials)
         coloured = any(len(mesh.color_attributes) for mesh in meshes)
-        self.kind = "TEXTURE" if textured else "VERTEX" if coloured else ""
+        self.kind: Literal["TEXTURE", "VERTEX", ""] = "TEXTURE" if textured else "VERTEX" if coloured else ""
 
     def revert(self) -> None:
         """Restore the active nodes of the materials, and the alpha of their images."""
         for name, node, image, alpha in self._before:
             material, picture = bpy.data.materials.get(name), bpy.data.images.get(image)
-            if material is not None and (found := material.node_tree.nodes.get(node)) is not None:
-                material.node_tree.nodes.active = found
+            nodes = None if material is None or material.node_tree is None else material.node_tree.nodes
+            if nodes is not None and (found := nodes.get(node)) is not None:
+                nodes.active = found
             if picture is not None:
                 picture.alpha_mode = alpha
         self._before = []
 
 
-def _show_images(materials: Iterable[bpy.types.Material]) -> list[tuple[str, str, str, str]]:
+def _show_images(materials: Iterable[bpy.types.Material]) -> list[tuple[str, str, str, AlphaMode]]:
     """Make the image of its colour the active one of each material; after an import that may be an image of normals.
 
     Returns the names of each material that was changed, its active node and its image, and the alpha of the image.
     """
-    before = []
+    before: list[tuple[str, str, str, AlphaMode]] = []
     for material in materials:
         node = _colour_node(material)
         if node is None or material.library is not None:
@@ -91,11 +96,18 @@ def _colour_node(material: bpy.types.Material) -> bpy.types.ShaderNodeTexImage |
     shader = principled(material)
     node = None if shader is None else linked_image(shader.inputs["Base Color"])
     if node is None and material.node_tree is not None:
-        waiting = [one for one in material.node_tree.nodes if one.type == "OUTPUT_MATERIAL" and one.is_active_output]
+        nodes = material.node_tree.nodes
+        outputs = [one for one in nodes if isinstance(one, bpy.types.ShaderNodeOutputMaterial)]
+        waiting: list[bpy.types.Node] = [one for one in outputs if one.is_active_output]
         for one in waiting:
-            if one.type == "TEX_IMAGE" and one.image is not None and not one.image.colorspace_settings.is_data:
+            if isinstance(one, bpy.types.ShaderNodeTexImage) and _shows_colour(one):
                 return one
-            waiting += [
-                link.from_node for socket in one.inputs for link in socket.links if link.from_node not in waiting
-            ]
+            behind = (link.from_node for socket in one.inputs for link in socket.links)
+            waiting += [other for other in behind if other is not None and other not in waiting]
     return None if node is None or node.image is None else node
+
+
+def _shows_colour(node: bpy.types.ShaderNodeTexImage) -> bool:
+    """Return whether a node has an image of colours rather than of normals or other data."""
+    space = None if node.image is None else node.image.colorspace_settings
+    return space is not None and not space.is_data

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 from numpy.typing import NDArray
@@ -17,12 +19,14 @@ def keyed_frame(scene: bpy.types.Scene, frame: float) -> float:
     return float(frame * scene.render.frame_map_old / scene.render.frame_map_new)
 
 
-def shown_frames(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> NDArray[np.floating]:
+def shown_frames(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Return the frames of the scene that show keyframes at `frames`, (N,); the inverse of `keyed_frame`."""
     return frames * scene.render.frame_map_new / scene.render.frame_map_old
 
 
-def frames_of(scene: bpy.types.Scene, times: NDArray[np.floating], start: float = 1.0) -> NDArray[np.floating]:
+def frames_of(
+    scene: bpy.types.Scene, times: NDArray[np.floating[Any]], start: float = 1.0
+) -> NDArray[np.floating[Any]]:
     """Convert times to frames of keyframes in the scene.
 
     Parameters

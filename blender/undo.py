@@ -15,5 +15,5 @@ from .contexts import in_a_window
 def push_undo(message: str) -> None:
     """Push an undo step, even from a timer or a handler, whose context has no window."""
     with in_a_window():
-        if bpy.ops.ed.undo_push.poll():
+        if bpy.ops.ed.undo_push.poll():  # type: ignore[call-arg]  # the stubs have a class instead of its instance
             bpy.ops.ed.undo_push(message=message)

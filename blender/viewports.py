@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
@@ -29,7 +29,7 @@ def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
     for area in () if screen is None else screen.areas:
         if area.type == "VIEW_3D":
             for region in area.regions:
-                if region.type == "WINDOW":
+                if region.type == "WINDOW" and isinstance(region.data, bpy.types.RegionView3D):
                     yield Viewport(region, region.data, area)
 
 
@@ -86,7 +86,7 @@ def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
 
 
 def is_hidden_by_others(
-    context: bpy.types.Context, seen: Viewport, points: NDArray[np.floating], own: Collection[bpy.types.Object]
+    context: bpy.types.Context, seen: Viewport, points: NDArray[np.floating[Any]], own: Collection[bpy.types.Object]
 ) -> bool:
     """Return whether most of some points are behind other objects.
 
@@ -117,6 +117,18 @@ def is_hidden_by_others(
     return 2 * hidden > len(points)
 
 
+def viewport_drawn(context: bpy.types.Context) -> Viewport | None:
+    """Return the viewport of the context, in which an overlay is being drawn; None if it is another editor."""
+    area, region, view = context.area, context.region, context.region_data
+    return None if area is None or region is None or view is None else Viewport(region, view, area)
+
+
+def shows_overlays(context: bpy.types.Context) -> bool:
+    """Return whether the context is a 3D Viewport whose overlays are enabled."""
+    space = context.space_data
+    return isinstance(space, bpy.types.SpaceView3D) and space.overlay.show_overlays
+
+
 def show_alone(context: bpy.types.Context, own: Collection[bpy.types.Object]) -> None:
     """Show some objects and the lights in the Local View of the viewport in use; one of them has to be selected.
 
@@ -126,6 +138,7 @@ def show_alone(context: bpy.types.Context, own: Collection[bpy.types.Object]) ->
     own : collection of bpy.types.Object
     """
     bpy.ops.view3d.localview(frame_selected=False)
+    assert isinstance(context.space_data, bpy.types.SpaceView3D)
     for obj in context.view_layer.objects:
         obj.local_view_set(context.space_data, obj in own or obj.type in _LIGHTS)
 

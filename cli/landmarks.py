@@ -37,7 +37,7 @@ def add_commands(commands: Commands) -> None:
     add_settings(landmarks, TrackingSettings)
     landmarks.set_defaults(
         run=lambda given: run_landmarks(
-            *(given[name] for name in ("images", "output", "overlay")), filled(TrackingSettings, given)
+            given["images"], given["output"], given["overlay"], filled(TrackingSettings, given)
         )
     )
 
@@ -90,8 +90,8 @@ def _locate(paths: Sequence[Path], output: Path, overlay: Path | None, tracker: 
         temporary.write_bytes(content.getvalue())
     found = int(np.isfinite(landmarks[:, 0, 0]).sum())
     progress.finish(f"a face in {found} of {len(paths)}")
-    for error in unreadable:
-        tell(f"facemime: {error}")
+    for problem in unreadable:
+        tell(f"facemime: {problem}")
     if done < len(paths):
         tell(f"facemime: interrupted; the results of the first {done} images are in {kept}.")
         return INTERRUPTED

@@ -74,9 +74,11 @@ def add_commands(commands: Commands) -> None:
     add_settings(select, SelectionSettings)
     kernels = settings_of(DriveSettings)["kernel"].values
     select.add_argument("--kernel", choices=kernels, help="skinning to select the points for (that of the search)")
-    landmarks = {"type": parse_landmarks, "default": ()}
-    select.add_argument("--add", **landmarks, metavar="17,19-21", help="landmarks to include, by iBUG number")
-    select.add_argument("--remove", **landmarks, metavar="0-3,30", help="landmarks to exclude")
+    for option, example, text in (
+        ("--add", "17,19-21", "landmarks to include, by iBUG number"),
+        ("--remove", "0-3,30", "landmarks to exclude"),
+    ):
+        select.add_argument(option, type=parse_landmarks, default=(), metavar=example, help=text)
     add_neutral_option(select)
     select.set_defaults(run=lambda given: run_select(filled(SelectJob, given)))
 

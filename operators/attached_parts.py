@@ -6,12 +6,14 @@ does this belongs to the undo group of the user's step, which it extends: a sing
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import bpy
-from bpy.app.handlers import persistent
 
 from ..blender.contexts import in_a_window
 from ..blender.heads import attached
 from ..blender.registering import watch
+from ..blender.stubs import OperatorResult
 from ..blender.undo import push_undo
 from ..sessions.session import Session
 
@@ -43,7 +45,7 @@ class _FinishesParts:
 
     bl_label = "Add Parts"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Finish it."""
         finish_parts()
         return {"FINISHED"}
@@ -66,7 +68,7 @@ def attend() -> float | None:
         if Session.running() is not None or any(map(_is_editing, windows)):
             return _INTERVAL
         with in_a_window():
-            if bpy.ops.ed.undo.poll():
+            if bpy.ops.ed.undo.poll():  # type: ignore[call-arg]  # the stubs have a class instead of its instance
                 _operator()("EXEC_DEFAULT", True)
             else:  # there is no step before the user's, which Blender needs to replace it
                 finish_parts()
@@ -76,12 +78,14 @@ def attend() -> float | None:
     return None
 
 
-def _operator() -> object:
+def _operator() -> Callable[[str, bool], object]:
     """Return the operator of the undo group to which the user's last operator belongs."""
     last = bpy.context.window_manager.operators
     name = last[-1].name if len(last) else ""
     number = _STEPS.index(name) if name in _STEPS else len(_STEPS) - 1
-    return getattr(bpy.ops.facemime, f"finish_parts_{number}")
+    own = bpy.ops.facemime  # type: ignore[attr-defined]  # registered at run time
+    operator: Callable[[str, bool], object] = getattr(own, f"finish_parts_{number}")
+    return operator
 
 
 def _is_editing(window: bpy.types.Window) -> bool:
@@ -90,7 +94,6 @@ def _is_editing(window: bpy.types.Window) -> bool:
     return any(name.startswith(("TRANSFORM_OT", "OBJECT_OT")) for name in names)
 
 
-@persistent
 def _updated(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
     if not (graph.id_type_updated("SCENE") or graph.id_type_updated("COLLECTION")):
         return
@@ -99,13 +102,11 @@ def _updated(scene: bpy.types.Scene, graph: bpy.types.Depsgraph) -> None:
         watch(attend, _INTERVAL)
 
 
-@persistent
 def _undone(*_: object) -> None:
     _Watch.undone, _Watch.known = attached.unfinished().summary, _present()
     _Watch.hidden = attached.hidden_heads(bpy.context.view_layer)
 
 
-@persistent
 def _opened(*_: object) -> None:
     attached.attach_all()
     attached.finish(attached.unfinished(), _present())

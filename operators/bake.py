@@ -6,7 +6,7 @@ from bpy.props import StringProperty
 
 from ..blender.animation.puppet import puppet_heads
 from ..blender.animation.underneath import mute_under, playing_under
-from ..blender.meshes import can_be_driven, key_names
+from ..blender.meshes import can_be_driven, key_names, keys_of
 from ..blender.timeline import frames_of
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
@@ -29,6 +29,7 @@ from .shared import (
     require,
     require_heads,
     require_object_mode,
+    required_subject,
     subject,
 )
 from .takes import OnTake
@@ -73,8 +74,8 @@ class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
     needs_landmarks = False
 
     def work(self, context: bpy.types.Context) -> None:
-        names = ", ".join(playing_under(subject(context)))
-        count = mute_under(subject(context))
+        names = ", ".join(playing_under(required_subject(context)))
+        count = mute_under(required_subject(context))
         report(self, f"{count} curves and tracks muted: {names}")
 
 
@@ -87,11 +88,11 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
     needs_landmarks = False
 
     def work(self, context: bpy.types.Context) -> None:
-        table = best_preset(key_names(subject(context)))
+        table = best_preset(key_names(required_subject(context)))
         if table is None:
             names = ", ".join(preset.name for preset in presets())
             raise HeadError(
-                f"No preset matches the shape keys of {subject(context).name} ({names}). "
+                f"No preset matches the shape keys of {required_subject(context).name} ({names}). "
                 "Add rows manually, import a mapping, or learn one from poses."
             )
         write_table(context.scene.facemime_takes.bake, table)
@@ -171,12 +172,12 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
         return require(cls, keyed, "Select a head that has shape keys") and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        scene, blocks = context.scene, subject(context).data.shape_keys.key_blocks
+        scene, blocks = context.scene, keys_of(required_subject(context)).key_blocks
         take = takes_store.read(takes_store.chosen(scene))
         frames = frames_of(scene, take.times[take.found], take_start(scene))
         coefficients = arkit_coefficients(take, calibrate(take), drive_settings(scene.facemime))
         current = coefficients[int(np.abs(frames - scene.frame_current_final).argmin())]
-        values = {name: blocks[name].value for name in key_names(subject(context))}
+        values = {name: blocks[name].value for name in key_names(required_subject(context))}
         scene.facemime_takes.bake.poses.add().data = KeyPose(current, values).to_json()
 
 

@@ -4,6 +4,7 @@ import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..blender.messages import tooltip
+from ..blender.stubs import OperatorResult
 from ..sessions.countdown import COUNTDOWN
 from ..settings.performers import (
     add_performer,
@@ -13,7 +14,7 @@ from ..settings.performers import (
     selected_performer,
     stored_performers,
 )
-from .puppet import require_puppet, running
+from .puppet import require_puppet, required_puppet, running
 from .shared import ReportsErrors, require
 
 _POSES = (
@@ -44,7 +45,7 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Start the countdown."""
-        running().calibrate(range_of=self.pose == "RANGE", countdown=self.countdown)
+        required_puppet().calibrating.begin(range_of=self.pose == "RANGE", countdown=self.countdown)
 
 
 class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
@@ -77,7 +78,7 @@ class FACEMIME_OT_add_performer(bpy.types.Operator):
 
     name: StringProperty(name="Name")
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Add the performer and make it active."""
         add_performer(context.scene.facemime, self.name)
         return {"FINISHED"}

@@ -3,6 +3,7 @@
 import bpy
 from bpy.props import StringProperty
 
+from ..blender.stubs import OperatorResult
 from ..settings.preferences import preferences
 
 
@@ -15,7 +16,7 @@ class FACEMIME_OT_choose_camera(bpy.types.Operator):
 
     camera: StringProperty(name="Camera")
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Store the camera in the preferences."""
         preferences().camera = self.camera
         context.preferences.is_dirty = True

@@ -6,8 +6,9 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
-from ..blender.meshes import is_head, read_selection, write_selection
+from ..blender.meshes import is_head, mesh_of, read_selection, write_selection
 from ..blender.rigs import read_rig
+from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_control_points
 from ..core.control_points.selection_settings import SelectionSettings
@@ -20,8 +21,8 @@ from ..core.takes.take import Take
 from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
-from .puppet import require_puppet, running
-from .shared import AsksForFile, OnHead, OnMesh, report, require, subject
+from .puppet import require_puppet, required_puppet
+from .shared import AsksForFile, OnHead, OnMesh, report, require, required_subject, subject
 
 
 @with_settings(SelectionSettings)
@@ -32,6 +33,10 @@ class SelectsPoints(OnMesh):
     remove: StringProperty(
         name="Remove", description="Landmarks that are never selected, by iBUG number, such as 0-3,30"
     )
+
+    def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral | None]:
+        """Return the take to select control points for, and its neutral face if that is known."""
+        raise NotImplementedError
 
     def work(self, context: bpy.types.Context) -> None:
         obj = subject(context)
@@ -48,7 +53,7 @@ class SelectsPoints(OnMesh):
             search=chosen.search,
             kernel=context.scene.facemime.kernel,
         )
-        write_selection(obj.data, selection)
+        write_selection(mesh_of(obj), selection)
         worst = selection.steps[-1]
         count, percent = len(selection.landmarks), f"{100 * worst.error:.2f}"
         report(
@@ -75,7 +80,7 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
     )
     filter_glob: StringProperty(default="*.facetake", options={"HIDDEN"})
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Use the take in the list, or otherwise open the file browser."""
         return self.execute(context) if self.take >= 0 else super().invoke(context, event)
 
@@ -98,7 +103,7 @@ class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
         """Return the last seconds of the session and its neutral face."""
-        worker = running().worker
+        worker = required_puppet().worker
         if worker.neutral is None:
             raise HeadError("There is no neutral face yet. Wait until the head moves.")
         return worker.recent_take(), worker.neutral
@@ -121,7 +126,7 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
     bl_label = "Add Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
-        mesh = subject(context).data
+        mesh = mesh_of(subject(context))
         selection = read_selection(mesh)
         if selection is None:
             raise HeadError("All landmarks are control points already. Remove some first, or select from a take.")
@@ -135,7 +140,7 @@ class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
     bl_label = "Remove Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
-        mesh = subject(context).data
+        mesh = mesh_of(subject(context))
         write_selection(mesh, drop_by_hand(read_selection(mesh), context.scene.facemime_steps.landmark))
 
 
@@ -146,27 +151,29 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
     bl_label = "Pick on Head"
     bl_options = {"REGISTER"}
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> OperatorResult:
         """Wait for a click."""
         if bpy.app.background:
             raise HeadError("There is no window to click in. Set the number of the landmark instead.")
         context.scene.facemime_steps.show_points = True
-        context.window.cursor_modal_set("CROSSHAIR")
+        if context.window is not None:
+            context.window.cursor_modal_set("CROSSHAIR")
         context.workspace.status_text_set(_("Click a landmark; Esc or right-click to cancel"))
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Handle the click; pass other events through, so that the view can be rotated."""
         if event.type in {"ESC", "RIGHTMOUSE"} and event.value == "PRESS":
             return self.restore(context, {"CANCELLED"})
         if event.type != "LEFTMOUSE" or event.value != "PRESS":
             return {"PASS_THROUGH"}
-        if subject(context) is None or not is_head(subject(context)):
+        obj = subject(context)
+        if obj is None or not is_head(obj):
             return self.restore(context, {"CANCELLED"})
         return self.restore(context, self.reporting(lambda now: self.pick(now, event), context))
 
-    def pick(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def pick(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Select the landmark nearest to the click."""
         seen = viewport_under(context, event.mouse_x, event.mouse_y)
         if seen is None:
@@ -174,7 +181,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         region, view = seen.region, seen.view
         size = (region.width, region.height)
         places = landmark_places(
-            subject(context), context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size
+            required_subject(context), context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size
         )
         pixel = (event.mouse_x - region.x, event.mouse_y - region.y)
         landmark = nearest_landmark(places, pixel, NEAR * context.preferences.system.ui_scale)
@@ -183,9 +190,10 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         context.scene.facemime_steps.landmark = landmark
         return {"FINISHED"}
 
-    def restore(self, context: bpy.types.Context, outcome: set[str]) -> set[str]:
+    def restore(self, context: bpy.types.Context, outcome: OperatorResult) -> OperatorResult:
         """Restore the cursor and the status bar, and return `outcome`."""
-        context.window.cursor_modal_restore()
+        if context.window is not None:
+            context.window.cursor_modal_restore()
         context.workspace.status_text_set(None)
         redraw(context)
         return outcome
@@ -198,7 +206,7 @@ class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     bl_label = "Use All Landmarks"
 
     def work(self, context: bpy.types.Context) -> None:
-        write_selection(subject(context).data, None)
+        write_selection(mesh_of(subject(context)), None)
 
 
 CLASSES = (

@@ -4,6 +4,7 @@ import bpy
 from bpy.props import FloatProperty, StringProperty
 
 from ..blender.heads.facegen import MILLIMETRE, import_facegen
+from ..blender.meshes import keys_of, mesh_of
 from .shared import AsksForFile, report, require_object_mode
 
 
@@ -24,8 +25,8 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Import the head."""
         obj = import_facegen(context, self.path, self.scale)
-        keys = 0 if obj.data.shape_keys is None else len(obj.data.shape_keys.key_blocks) - 1
-        report(self, f"{len(obj.data.vertices)} vertices, {keys} morphs")
+        keys = 0 if mesh_of(obj).shape_keys is None else len(keys_of(obj).key_blocks) - 1
+        report(self, f"{len(mesh_of(obj).vertices)} vertices, {keys} morphs")
 
 
 CLASSES = (FACEMIME_OT_import_facegen,)

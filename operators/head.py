@@ -1,6 +1,6 @@
 """Operator that adds a built-in head."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
@@ -40,7 +40,7 @@ class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     def status(self) -> str:
         return _("Facemime: adding the head")
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """Add the head at the 3D cursor, or beside the objects there, once the status bar says so."""
         yield 0.0
         head = add_head(context, woman=self.person == "WOMAN", units=self.units)
@@ -63,7 +63,8 @@ def _frame_selected(context: bpy.types.Context) -> None:
     """
     if Session.running() is not None:
         return
-    view = next((region for region in context.area.regions if region.type == "WINDOW"), None)
+    regions = () if context.area is None else context.area.regions
+    view = next((region for region in regions if region.type == "WINDOW"), None)
     if view is not None:
         with context.temp_override(region=view):
             bpy.ops.view3d.view_axis(type="FRONT")

@@ -7,6 +7,7 @@ from bpy.props import StringProperty
 
 from ..blender.media.reference import add_reference
 from ..blender.media.sound import add_sound
+from ..blender.stubs import OperatorResult
 from ..blender.timeline import rate_of
 from ..core.errors import SourceError
 from ..core.media.media_starts import sound_lead
@@ -19,7 +20,7 @@ from .takes import OnTake
 class OnTakesVideo(AsksForFile, OnTake):
     """Mixin: uses the video that the selected take was tracked from, and asks for it if it cannot be found."""
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the file if the video cannot be found."""
         if takes_store.video_of(context.scene, takes_store.chosen(context.scene)) is not None:
             return self.execute(context)

@@ -1,6 +1,6 @@
 """Operators that prepare a mesh as a head: mark points, bind landmarks, propose regions, check, cut."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
@@ -26,7 +26,7 @@ from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.lips import open_lips
 from ..blender.media.preview_scene import face_points, look_at_face
-from ..blender.meshes import read_places
+from ..blender.meshes import mesh_of, read_places
 from ..blender.messages import translated
 from ..blender.placement import select_alone
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
@@ -43,6 +43,7 @@ from .shared import (
     chosen_character,
     report,
     require_left_edit_mode,
+    required_subject,
     subject,
 )
 from .steps import WorksInSteps, in_background
@@ -61,7 +62,7 @@ def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) ->
     context : bpy.types.Context
     """
     findings = check_object(subject(context))
-    keep_findings(context.window_manager, subject(context).name, findings)
+    keep_findings(context.window_manager, required_subject(context).name, findings)
     for finding in findings:
         operator.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
     return bool(findings)
@@ -82,11 +83,12 @@ def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: d
 
 def _turn_to_face(context: bpy.types.Context) -> bool:
     """Turn the view to the face of the active head; return whether it is shown alone, as other objects hid it."""
-    head, seen = subject(context), viewport_of(context)
+    head, seen = required_subject(context), viewport_of(context)
     if seen is None:
         return False
     look_at_face(seen.view, head)
-    if seen.area != context.area or context.space_data.local_view is not None:
+    space = context.space_data
+    if seen.area != context.area or not isinstance(space, bpy.types.SpaceView3D) or space.local_view is not None:
         return False
     own = character_of(head)
     if not is_hidden_by_others(context, seen, face_points(head)[read_places(head)], own):
@@ -108,7 +110,7 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        mesh, vertex = subject(context).data, selected_vertex(subject(context))
+        mesh, vertex = mesh_of(subject(context)), selected_vertex(required_subject(context))
         write_marks(mesh, read_marks(mesh) | {int(self.point): vertex})
 
 
@@ -119,7 +121,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     bl_label = "Clear Marks"
 
     def work(self, context: bpy.types.Context) -> None:
-        write_marks(subject(context).data, {})
+        write_marks(mesh_of(subject(context)), {})
 
 
 class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
@@ -147,7 +149,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
     def status(self) -> str:
         return _("Facemime: searching for the face; Esc to cancel")
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """Search for the face in a thread, and bind what was found."""
         former, before = FormerBinding(context), placements()
         head, binding = yield from in_background(search_character(chosen_character(context)))
@@ -158,13 +160,13 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
         if self.in_window:
             CheckedBinding.former = former
             CheckedBinding.alone = alone
-            bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")
+            bpy.ops.facemime.adjust_landmarks("INVOKE_DEFAULT")  # type: ignore[attr-defined]  # registered at run time
         else:
             context.scene.facemime_steps.show_points = True
 
     def _report(self, context: bpy.types.Context, binding: Binding, alone: bool) -> None:
         memory = context.window_manager.facemime
-        memory.unsure = subject(context).name if binding.wanted else ""
+        memory.unsure = required_subject(context).name if binding.wanted else ""
         memory.wanted = ",".join(map(str, binding.wanted))
         if alone:
             report(self, "Face found. It is shown alone in Local View, as other objects hide it. Check the points")
@@ -174,7 +176,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
             report(self, binding.doubt, "WARNING")
         for finding in binding.findings:
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
-        if binding.body and not read_bones(subject(context))[1].head:
+        if binding.body and not read_bones(required_subject(context))[1].head:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
         report_findings(self, context)
 
@@ -190,7 +192,7 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         if self.number in (60, 64):
             raise HeadError("Landmarks 60 and 64 are not used. Choose another number.")
-        obj = subject(context)
+        obj = required_subject(context)
         move_landmark(obj, int(from_ibug([self.number])[0]), selected_vertex(obj))
 
 
@@ -206,7 +208,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
         return require_left_edit_mode(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
-        propose_head_regions(subject(context))
+        propose_head_regions(required_subject(context))
 
 
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
@@ -218,7 +220,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         if not report_findings(self, context):
-            report(self, f"{subject(context).name} is ready to be driven")
+            report(self, f"{required_subject(context).name} is ready to be driven")
         if not bpy.app.background and context.window is not None:
             bpy.ops.wm.call_panel("INVOKE_DEFAULT", name=_CHECK_PANEL, keep_open=True)
 

@@ -1,6 +1,6 @@
 """Operators that change the parts of a character, and the bones that follow the pose of its head and eyes."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 
 import bpy
@@ -8,20 +8,22 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty, StringProperty
 
+from ..blender.armatures import posed_bones
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
 from ..blender.heads.expression_keys import making_expression_keys
 from ..blender.heads.family import armature_of
 from ..blender.heads.parts import forget_parts, sort_again
-from ..blender.meshes import is_head
+from ..blender.meshes import is_head, mesh_of
 from ..blender.names import HEAD_PROPERTY
+from ..blender.stubs import OperatorResult
 from ..core.errors import HeadError, SourceError
 from ..core.heads.parts import PART_NAMES, Part
 from ..core.keys.key_sets import KEY_SETS
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store
-from .shared import InObjectMode, OnHead, ReportsErrors, report, subject
+from .shared import InObjectMode, OnHead, ReportsErrors, report, required_subject, subject
 from .steps import WorksInSteps, in_background
 
 _DESCRIPTIONS = {
@@ -66,11 +68,11 @@ class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
         if editing:
             bpy.ops.object.mode_set(mode="OBJECT")
         try:
-            chosen = np.ones(len(obj.data.vertices), dtype=bool)
+            chosen = np.ones(len(mesh_of(obj).vertices), dtype=bool)
             if editing:
-                obj.data.vertices.foreach_get("select", chosen)
+                mesh_of(obj).vertices.foreach_get("select", chosen)
             elif self.before:
-                chosen = read_kinds(obj.data) == Part[self.before]
+                chosen = read_kinds(mesh_of(obj)) == Part[self.before]
             if not chosen.any():
                 raise HeadError("No vertex is selected. Select those of the part.")
             set_part(obj, Part[self.part], chosen)
@@ -95,7 +97,7 @@ class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
             raise HeadError("No other mesh is selected. Select the parts, then the head.")
         for obj in others:
             obj[HEAD_PROPERTY] = head
-            set_part(obj, Part[self.part], np.ones(len(obj.data.vertices), dtype=bool))
+            set_part(obj, Part[self.part], np.ones(len(mesh_of(obj).vertices), dtype=bool))
         report(self, f"{len(others)} meshes added")
 
 
@@ -112,7 +114,7 @@ class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
         obj = bpy.data.objects.get(self.name)
         if obj is None or HEAD_PROPERTY not in obj:
             raise HeadError("There is no such mesh. Select a mesh of the character.")
-        set_part(obj, Part.SKIN, np.ones(len(obj.data.vertices), dtype=bool))
+        set_part(obj, Part.SKIN, np.ones(len(mesh_of(obj).vertices), dtype=np.bool_))
         del obj[HEAD_PROPERTY]
 
 
@@ -123,7 +125,7 @@ class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
     bl_label = "Find Parts"
 
     def work(self, context: bpy.types.Context) -> None:
-        head = subject(context)
+        head = required_subject(context)
         forget_parts(head)
         sort_again(head)
         propose_head_regions(head)
@@ -132,7 +134,7 @@ class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
 def _items_of_bones(operator: bpy.types.Operator, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
     head = None if context is None else subject(context)
     armature = None if head is None else read_bones(head)[0] or armature_of(head)
-    names = [] if armature is None else [bone.name for bone in armature.pose.bones]
+    names = [] if armature is None else [bone.name for bone in posed_bones(armature)]
     _bone_items[:] = [(_NO_BONE, "None", "No bone"), *((name, name, "") for name in names)]
     return _bone_items
 
@@ -149,13 +151,13 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
     target: EnumProperty(name="Target", items=[(key, label, "") for key, label in BONES.items()])
     bone: EnumProperty(name="Bone", items=_items_of_bones)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Open a list of the bones to search in."""
         context.window_manager.invoke_search_popup(self)
         return {"RUNNING_MODAL"}
 
     def work(self, context: bpy.types.Context) -> None:
-        head = subject(context)
+        head = required_subject(context)
         stored, bones = read_bones(head)
         armature = stored or armature_of(head)
         if armature is None:
@@ -170,7 +172,7 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
     bl_idname = "facemime.make_expression_keys"
     bl_label = "Make Expression Keys"
 
-    keys: EnumProperty(
+    keys: EnumProperty(  # type: ignore[assignment]  # hides that of bpy_struct
         name="Keys",
         description="Programs that the keys are for",
         items=[(name, keys.label, "") for name, keys in KEY_SETS.items()],
@@ -184,7 +186,7 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
     def status(self) -> str:
         return _("Facemime: making shape keys; Esc to cancel")
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """Make the keys in a thread, and add them."""
         if (session := Session.running()) is not None:
             session.close()

@@ -13,13 +13,14 @@ from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
 from ..blender.heads.placing import Placing, marks_to_ask, skin_under
+from ..blender.stubs import OperatorResult
 from ..blender.viewports import Viewport, redraw, viewport_under
 from ..core.binding.bind import MIN_MARKS
 from ..core.control_points.select import parse_landmarks
 from ..core.errors import HeadError
 from ..core.face.landmarks import IBUG68_INDICES
 from ..sessions.session import Session
-from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, subject
+from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, required_subject, subject
 
 _ENTER = {"RET", "NUMPAD_ENTER"}
 
@@ -46,7 +47,8 @@ class CheckedBinding:
 def _take_back(former: FormerBinding, alone: bool) -> None:
     context = bpy.context
     former.restore(context)
-    if alone and context.space_data is not None and context.space_data.local_view is not None:
+    space = context.space_data
+    if alone and isinstance(space, bpy.types.SpaceView3D) and space.local_view is not None:
         bpy.ops.view3d.localview(frame_selected=False)
 
 
@@ -56,8 +58,8 @@ class PlacesPoints(ReportsErrors):
     It also ends, and keeps the points, as soon as the mesh is changed or a puppet is started.
     """
 
-    _placing: Placing | None = None
-    _display: FaceDisplay | None = None
+    _placing: Placing
+    _display: FaceDisplay
     _showed = False
 
     @classmethod
@@ -77,16 +79,17 @@ class PlacesPoints(ReportsErrors):
         """Return the translated text of the status bar."""
         raise NotImplementedError
 
-    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Handle an event other than Enter and Esc."""
         raise NotImplementedError
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> OperatorResult:
         """Wait for clicks."""
         if bpy.app.background or context.window is None:
             raise HeadError("There is no window to click in. Use Set Landmark or Mark Point in Edit Mode instead.")
-        self._placing = Placing.current = self.begin(subject(context))
-        self._display = FaceDisplay([self._placing.obj], bones=True)
+        obj = required_subject(context)
+        self._placing = Placing.current = self.begin(obj)
+        self._display = FaceDisplay([obj], bones=True)
         steps = context.scene.facemime_steps
         self._showed, steps.show_points = steps.show_points, True
         context.workspace.status_text_set(self.hint())
@@ -95,7 +98,7 @@ class PlacesPoints(ReportsErrors):
         redraw(context, "UI")
         return {"RUNNING_MODAL"}
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Handle an event."""
         if not self._goes_on(context):
             self.cancel(context)
@@ -108,7 +111,7 @@ class PlacesPoints(ReportsErrors):
             return self.end(context)
         return self.handle(context, event)
 
-    def end(self, context: bpy.types.Context) -> set[str]:
+    def end(self, context: bpy.types.Context) -> OperatorResult:
         """Keep the placed points, if there are enough."""
         if self._placing.asked and not self._placing.enough:
             report(self, f"Mark at least {MIN_MARKS} points, or press Esc to cancel", "WARNING")
@@ -127,8 +130,7 @@ class PlacesPoints(ReportsErrors):
         """Restore the status bar and the display of points."""
         if Placing.current is self._placing:
             Placing.current = None
-        if self._display is not None:
-            self._display.close()
+        self._display.close()
         steps = context.scene.facemime_steps
         steps.landmark, steps.show_points = -1, self._showed
         if context.workspace is not None:
@@ -139,7 +141,7 @@ class PlacesPoints(ReportsErrors):
 
 def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> int | None:
     pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
-    return skin_under(subject(context), context.evaluated_depsgraph_get(), seen, pixel)
+    return skin_under(required_subject(context), context.evaluated_depsgraph_get(), seen, pixel)
 
 
 class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
@@ -154,7 +156,7 @@ class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
     def hint(self) -> str:
         return _("Drag the points to their places; Enter to accept, Esc to discard")
 
-    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Highlight the landmark under the mouse; let it follow while the button is held."""
         steps, placing = context.scene.facemime_steps, self._placing
         seen = viewport_under(context, event.mouse_x, event.mouse_y)
@@ -173,7 +175,7 @@ class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
 
     def _hover(self, context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> None:
         size, view = (seen.region.width, seen.region.height), np.array(seen.view.perspective_matrix)
-        places = landmark_places(subject(context), context.evaluated_depsgraph_get(), view, size)
+        places = landmark_places(required_subject(context), context.evaluated_depsgraph_get(), view, size)
         pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
         landmark = nearest_landmark(places, pixel, NEAR / 2 * context.preferences.system.ui_scale)
         if landmark != context.scene.facemime_steps.landmark:
@@ -197,7 +199,7 @@ class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
             "Click the point that is shown; Backspace to remove the last point, Enter to find the face, Esc to cancel"
         )
 
-    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def handle(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Mark a point by a click, or clear the last one by Backspace."""
         placing = self._placing
         if event.type == "BACK_SPACE" and event.value == "PRESS":
@@ -224,8 +226,9 @@ def _keep(placing: Placing) -> None:
 def _find_face() -> None:
     """Start the search once the marks have their own undo step."""
     with in_a_window():
-        if bpy.ops.facemime.bind_landmarks.poll():
-            bpy.ops.facemime.bind_landmarks("INVOKE_DEFAULT")
+        search = bpy.ops.facemime.bind_landmarks  # type: ignore[attr-defined]  # registered at run time
+        if search.poll():
+            search("INVOKE_DEFAULT")
 
 
 class EndsPlacing(ReportsErrors):
@@ -244,6 +247,7 @@ class EndsPlacing(ReportsErrors):
 
     def work(self, context: bpy.types.Context) -> None:
         placing, Placing.current = Placing.current, None
+        assert placing is not None
         self.end(placing)
         redraw(context)
 

@@ -3,6 +3,8 @@
 import bpy
 from bpy.props import BoolProperty, StringProperty
 
+from ..blender.stubs import OperatorResult
+from ..core.files.preset_files import SUFFIX
 from ..core.puppet.built_in_presets import built_in_path
 from ..settings import user_presets as presets
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
@@ -17,7 +19,7 @@ class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
 
     name: StringProperty(name="Name", default="My Preset")
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the name."""
         return context.window_manager.invoke_props_dialog(self)
 
@@ -50,7 +52,7 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
 
     name: StringProperty(name="Name")
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask first, as removing a file cannot be undone."""
         return context.window_manager.invoke_confirm(self, event)
 
@@ -85,7 +87,7 @@ class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Write the file."""
-        presets.save(context.scene.facemime, self.path_ending(presets.SUFFIX))
+        presets.save(context.scene.facemime, self.path_ending(SUFFIX))
 
 
 CLASSES = (

@@ -86,7 +86,7 @@ class PreviewDrag:
         if self._from is None:
             return False
         if event.type == "MOUSEMOVE":
-            self._drag(preferences(), event)
+            self._drag(preferences(), event, self._from)
             redraw(context)
             return True
         if event.type == "LEFTMOUSE" and event.value == "RELEASE":
@@ -98,9 +98,10 @@ class PreviewDrag:
         seen, session = viewport_under(context, event.mouse_x, event.mouse_y), LiveSession.running()
         if seen is None or session is None or session.shown is None or session.shown.preview is None:
             return False
-        if not has_preview(context.screen, seen.region):
+        if context.screen is None or not has_preview(context.screen, seen.region):
             return False
-        box = preview_box(seen.area, seen.region, session.shown.preview.shape[:2])
+        height, width = session.shown.preview.shape[:2]
+        box = preview_box(seen.area, seen.region, (height, width))
         right, up = event.mouse_x - seen.region.x - box.left, event.mouse_y - seen.region.y - box.bottom
         if not (0.0 <= right < box.width and 0.0 <= up < box.height) or _over_sidebar(seen, event):
             return False
@@ -110,9 +111,9 @@ class PreviewDrag:
         self._before = (float(user.preview_size),) if self._sizes else tuple(user.preview_place)
         return True
 
-    def _drag(self, user: FacemimePreferences, event: bpy.types.Event) -> None:
+    def _drag(self, user: FacemimePreferences, event: bpy.types.Event, start: tuple[int, int]) -> None:
         scale = bpy.context.preferences.system.ui_scale
-        right, up = ((now - then) / scale for now, then in zip((event.mouse_x, event.mouse_y), self._from, strict=True))
+        right, up = (event.mouse_x - start[0]) / scale, (event.mouse_y - start[1]) / scale
         if self._sizes:
             user.preview_size = round(min(max(self._before[0] + right, _SIZES[0]), _SIZES[1]))
         else:
@@ -122,9 +123,7 @@ class PreviewDrag:
 def _over_sidebar(seen: Viewport, event: bpy.types.Event) -> bool:
     """Return whether another region, such as the sidebar, is over the viewport there."""
     return any(
-        region.type != "WINDOW"
-        and 0 <= event.mouse_x - region.x < region.width
-        and 0 <= event.mouse_y - region.y < region.height
+        0 <= event.mouse_x - region.x < region.width and 0 <= event.mouse_y - region.y < region.height
         for region in seen.area.regions
         if region.width > 1 and region.type in {"UI", "TOOLS", "HUD"}
     )

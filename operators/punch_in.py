@@ -3,10 +3,11 @@
 import bpy
 from bpy.props import FloatProperty, IntProperty
 
+from ..blender.stubs import OperatorResult
 from ..blender.timeline import seconds_at
 from ..settings import takes_store
 from ..settings.values import take_start
-from .puppet import require_puppet, running
+from .puppet import require_puppet, required_puppet
 from .shared import require
 from .take_edits import BLEND_PROPERTY
 from .takes import OnTake
@@ -36,11 +37,11 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         """Require a running puppet and a take, and that no range is being re-recorded."""
         return (
             require_puppet(cls)
-            and require(cls, running().punch_in is None, "A range is already being re-recorded")
+            and require(cls, required_puppet().recorder.punch_in is None, "A range is already being re-recorded")
             and super().poll(context)
         )
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the range; by default the preview range, or two seconds from the current frame."""
         scene = context.scene
         self.start, self.end = scene.frame_current, scene.frame_current + round(2 * scene.render.fps)
@@ -51,7 +52,9 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         start, end = (seconds_at(scene, frame, take_start(scene)) for frame in (self.start, self.end))
-        running().rerecord(scene, takes_store.chosen(scene).path, start, end, lead=self.lead, blend=self.blend)
+        required_puppet().recorder.rerecord(
+            scene, takes_store.chosen(scene).path, start, end, lead=self.lead, blend=self.blend
+        )
 
 
 CLASSES = (FACEMIME_OT_rerecord_take,)

@@ -5,6 +5,7 @@ import bpy
 from ..blender.animation.live import LiveHeadObject
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import CONTEXT
+from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw, viewport_under
 from ..core.errors import FacemimeError
 from ..sessions.live import TICK, LiveSession
@@ -21,6 +22,13 @@ def running() -> LiveSession | None:
     return LiveSession.running()
 
 
+def required_puppet() -> LiveSession:
+    """Return the running live session, which `poll` requires."""
+    session = running()
+    assert session is not None, "no puppet is running"
+    return session
+
+
 def require_puppet(operator: type[bpy.types.Operator]) -> bool:
     """Return for `poll` whether a puppet is running; otherwise set the poll message of `operator`."""
     return require(operator, running() is not None, "Start the puppet first")
@@ -35,7 +43,7 @@ def start_puppet() -> None:
         If it cannot be started.
     """
     try:
-        bpy.ops.facemime.puppet("INVOKE_DEFAULT")
+        bpy.ops.facemime.puppet("INVOKE_DEFAULT")  # type: ignore[attr-defined]  # registered at run time
     except RuntimeError as error:
         raise FacemimeError(str(error).strip().removeprefix("Error: ")) from error
 
@@ -47,13 +55,13 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
 
-    _session: LiveSession | None = None
-    _rigs: RigWatch | None = None
+    _session: LiveSession
+    _rigs: RigWatch
     _timer: bpy.types.Timer | None = None
     _scene = ""
     _clicked = False
-    _drag: PreviewDrag | None = None
-    _display: FaceDisplay | None = None
+    _drag: PreviewDrag
+    _display: FaceDisplay
     _redrawn_at = 0.0
     _text = ""
     _heads: tuple[LiveHeadObject, ...] = ()
@@ -63,7 +71,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """Require a selected head outside Edit Mode, and that no session is running."""
         return require_no_session(cls) and require_left_edit_mode(cls, context) and require_heads(cls, context)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> OperatorResult:
         """Start the session, and continue at every tick of a timer."""
         heads = heads_in(context)
         try:
@@ -84,7 +92,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         context.workspace.status_text_set(_draw_hints)
         return {"RUNNING_MODAL"}
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Handle a tick or the end; pass other events through."""
         if self._session.closed:
             return self.finish(context)
@@ -93,7 +101,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             and event.value == "PRESS"
             and viewport_under(context, event.mouse_x, event.mouse_y) is not None
         ):
-            return {"RUNNING_MODAL"} if self._session.cancel_countdown() else self.finish(context)
+            return {"RUNNING_MODAL"} if self._session.recorder.cancel_countdown() else self.finish(context)
         if self._drag.handle(context, event):
             return {"RUNNING_MODAL"}
         if event.value in ("PRESS", "CLICK"):
@@ -102,7 +110,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             return self.reporting(self.tick_or_end, context)
         return {"PASS_THROUGH"}
 
-    def tick_or_end(self, context: bpy.types.Context) -> set[str]:
+    def tick_or_end(self, context: bpy.types.Context) -> OperatorResult:
         """Handle a tick; an error ends the session."""
         try:
             return self.tick(context)
@@ -112,7 +120,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             self.finish(context)
             raise
 
-    def tick(self, context: bpy.types.Context) -> set[str]:
+    def tick(self, context: bpy.types.Context) -> OperatorResult:
         """Show the newest result and follow the settings."""
         session = self._session
         self._display.bones = _hides_bones(context)
@@ -140,7 +148,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
                 redraw(context, "WINDOW")
         return {"PASS_THROUGH"}
 
-    def finish(self, context: bpy.types.Context) -> set[str]:
+    def finish(self, context: bpy.types.Context) -> OperatorResult:
         """End the session, and report what went wrong."""
         self._session.close()
         if self._session.warning:
@@ -156,8 +164,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
     def release(self) -> None:
         """End the timer; called by the session when it is closed."""
-        if self._display is not None:
-            self._display.close()
+        self._display.close()
         if self._timer is not None:
             bpy.context.window_manager.event_timer_remove(self._timer)
             for workspace in bpy.data.workspaces:
@@ -180,15 +187,15 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
         """Require a running puppet."""
         return require(cls, running() is not None, "No puppet is running")
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Let Esc cancel the countdown of a recording first, as in the window in which the puppet was started."""
-        if event.type == "ESC" and running().cancel_countdown():
+        if event.type == "ESC" and required_puppet().recorder.cancel_countdown():
             return {"FINISHED"}
         return self.execute(context)
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """End the session; the modal operator ends at the next event."""
-        running().close()
+        required_puppet().close()
         redraw(context, "UI")
         return {"FINISHED"}
 
@@ -207,9 +214,9 @@ class FACEMIME_OT_next_face(bpy.types.Operator):
         sees = session is not None and session.worker.image_size != (0, 0)
         return require(cls, sees, "Start the puppet with a camera, a video or an image sequence first")
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Request the next face, which is tracked from the next frame."""
-        running().worker.follow_next()
+        required_puppet().worker.follow_next()
         return {"FINISHED"}
 
 
@@ -221,7 +228,7 @@ def _hides_bones(context: bpy.types.Context) -> bool:
 def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
     """Draw the status bar while a puppet is running: its keys, or those of what has the keyboard, such as Move."""
     layout, session = header.layout, running()
-    recording = session is not None and session.recording is not None
+    recording = session is not None and session.recorder.recording is not None
     if _is_busy(context.window):
         layout.template_input_status()
     else:
@@ -238,8 +245,9 @@ def _draw_hints(header: bpy.types.Header, context: bpy.types.Context) -> None:
 
 def _is_busy(window: bpy.types.Window | None) -> bool:
     """Return whether another operator than the puppet handles the events of a window first."""
-    running_there = [] if window is None else window.modal_operators
-    return any(op is not None and op.bl_idname != FACEMIME_OT_puppet.__name__ for op in running_there)
+    return window is not None and any(
+        op is not None and op.bl_idname != FACEMIME_OT_puppet.__name__ for op in window.modal_operators
+    )
 
 
 def _painting(context: bpy.types.Context) -> bool:

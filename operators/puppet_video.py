@@ -5,6 +5,8 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.animation.puppet import check_heads, puppet_heads
+from ..blender.meshes import object_of
+from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
@@ -35,11 +37,11 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         """Require a head in Object Mode."""
         return require_object_mode(cls, context) and require_heads(cls, context)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for a file, unless the button provides one."""
         return self.execute(context) if self.filepath else super().invoke(context, event)
 
-    def work(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> OperatorResult:
         """Track in the background, then bake; without a window, wait for the tracking."""
         path, heads = self.path, list(heads_in(context))
         scene = context.scene.facemime
@@ -53,14 +55,14 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             return self.finish(context)
         return self.start_ticking(context, _TICK)
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Show the progress; Esc stops tracking and bakes the frames so far."""
         if event.type == "ESC":
-            self._session.stop()
+            self._tracked.stop()
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
-        if self._session.tracking:
-            done, total = self._session.done, self._session.total
+        if self._tracked.tracking:
+            done, total = self._tracked.done, self._tracked.total
             context.window_manager.progress_update(done / max(total, 1))
             progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")
             context.workspace.status_text_set(progress.format(done=done, total=total))
@@ -68,7 +70,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             return {"PASS_THROUGH"}
         return self.reporting(self.finish, context)
 
-    def finish(self, context: bpy.types.Context) -> set[str]:
+    def finish(self, context: bpy.types.Context) -> OperatorResult:
         """Keep the tracked take in the list, and bake it.
 
         Raises
@@ -77,7 +79,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             If nothing was tracked, or the take cannot be baked.
         """
         try:
-            take = self._session.take()
+            take = self._tracked.take()
             name = self._keep(context, take) if take.found.any() else ""
             try:
                 return self.bake(context, context.scene.objects.get(self._head), take)
@@ -88,18 +90,24 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         finally:
             self.cancel(context)
 
+    @property
+    def _tracked(self) -> TrackingSession:
+        """The session until it ends."""
+        assert self._session is not None
+        return self._session
+
     def _keep(self, context: bpy.types.Context, take: Take) -> str:
         """Add the take to the list; return its name, or "" if it cannot be written: it can be baked anyway."""
         try:
-            return takes_store.keep(context.scene, take, self._session.video.stem).name
+            return takes_store.keep(context.scene, take, self._tracked.video.stem).name
         except FacemimeError as error:
             report(self, str(error), "WARNING")
             return ""
 
-    def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> set[str]:
+    def bake(self, context: bpy.types.Context, head: bpy.types.Object | None, take: Take) -> OperatorResult:
         """Bake `take` to `head` and to all other selected heads, and report the result."""
-        settings = context.scene.facemime
-        targets = None if head is None else pose_targets(settings.posing, head)
+        settings, head = context.scene.facemime, object_of(head)
+        targets = pose_targets(settings.posing, head)
         with reporting_range(self, context.scene):
             driven = puppet_settings(settings, placing_of(context.scene))
             bake, *_ = puppet_heads(context.scene, _heads(context, head), take, driven, targets)
@@ -120,7 +128,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
         self.stop_ticking(context)
 
 
-def _heads(context: bpy.types.Context, first: bpy.types.Object | None) -> list[bpy.types.Object | None]:
+def _heads(context: bpy.types.Context, first: bpy.types.Object) -> list[bpy.types.Object]:
     """Return `first` and all other heads that are selected now."""
     others = [head for head in heads_in(context) if head != first] if context.selected_objects else []
     return [first, *others]
@@ -138,9 +146,11 @@ class FACEMIME_OT_stop_tracking(bpy.types.Operator):
         """Require that a video is being tracked."""
         return TrackingSession.running() is not None
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Ask the session to stop; its operator bakes."""
-        TrackingSession.running().stop()
+        session = TrackingSession.running()
+        if session is not None:
+            session.stop()
         return {"FINISHED"}
 
 

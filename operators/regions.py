@@ -4,7 +4,7 @@ import bpy
 from bpy.props import EnumProperty, IntProperty
 
 from ..blender.heads.painting import mirror_painted, paint_region, smooth_painted
-from .shared import OnHead, ReportsErrors, require, subject
+from .shared import OnHead, ReportsErrors, require, required_subject
 
 
 class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
@@ -23,7 +23,7 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        paint_region(context, subject(context), ("UPPER", "MIDDLE", "LOWER").index(self.region))
+        paint_region(context, required_subject(context), ("UPPER", "MIDDLE", "LOWER").index(self.region))
 
 
 class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
@@ -55,7 +55,7 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
     )
 
     def work(self, context: bpy.types.Context) -> None:
-        mirror_painted(subject(context), self.source)
+        mirror_painted(required_subject(context), "left" if self.source == "left" else "right")
 
 
 class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
@@ -67,7 +67,7 @@ class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
     repeat: IntProperty(name="Repeat", default=3, min=1, max=50)
 
     def work(self, context: bpy.types.Context) -> None:
-        smooth_painted(subject(context), self.repeat)
+        smooth_painted(required_subject(context), self.repeat)
 
 
 CLASSES = (

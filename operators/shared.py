@@ -9,14 +9,15 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender.heads.family import character_in, heads_of, is_character
-from ..blender.meshes import can_be_driven, is_head
+from ..blender.meshes import can_be_driven, is_head, object_of
 from ..blender.messages import displayable
+from ..blender.stubs import OperatorMixin, OperatorResult, ReportLevel
 from ..core.errors import FacemimeError, SourceError
 from ..core.media.capture import check_readable, require_utf8_name
 from ..sessions.session import Session
 
 
-def report(operator: bpy.types.Operator, message: str, level: str = "INFO") -> None:
+def report(operator: bpy.types.Operator, message: str, level: ReportLevel = "INFO") -> None:
     """Report a message, translated.
 
     Parameters
@@ -45,7 +46,7 @@ def reporting_range(operator: bpy.types.Operator, scene: bpy.types.Scene) -> Ite
         report(operator, f"The scene's frame range is now that of the take: frames {first} to {last}")
 
 
-class ReportsErrors:
+class ReportsErrors(OperatorMixin):
     """Mixin: runs the operator's `work`, and reports a `FacemimeError` as an error; other exceptions are not caught.
 
     `work` returns None if the operator has finished, and otherwise its result, such as RUNNING_MODAL.
@@ -54,11 +55,17 @@ class ReportsErrors:
     bl_options = {"REGISTER", "UNDO"}
     """Most operators change data of the file; those that do not leave out UNDO."""
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def work(self, context: bpy.types.Context) -> OperatorResult | None:
+        """Do what the operator is for."""
+        raise NotImplementedError
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Run `work`."""
         return self.reporting(self.work, context)
 
-    def reporting(self, work: Callable[[bpy.types.Context], set[str] | None], context: bpy.types.Context) -> set[str]:
+    def reporting(
+        self, work: Callable[[bpy.types.Context], OperatorResult | None], context: bpy.types.Context
+    ) -> OperatorResult:
         """Return the result of `work(context)`, or CANCELLED if it raised an error, which is reported.
 
         Parameters
@@ -146,6 +153,11 @@ def subject(context: bpy.types.Context) -> bpy.types.Object | None:
     return next(iter(heads_in(context)), obj)
 
 
+def required_subject(context: bpy.types.Context) -> bpy.types.Object:
+    """Return the object as `subject` does, where `poll` requires one; HeadError if there is none."""
+    return object_of(subject(context))
+
+
 def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Require a head that can be driven, as `require` does.
 
@@ -174,7 +186,7 @@ class AsksForFile(ReportsErrors):
         check_readable(path)
         return path
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Open the file browser."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
@@ -192,7 +204,7 @@ class AsksForFileToWrite(AsksForFile):
         return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
 
 
-class InObjectMode:
+class InObjectMode(OperatorMixin):
     """Mixin placed before one with a `poll`: also requires Object Mode."""
 
     @classmethod
@@ -244,6 +256,6 @@ class OnHead(OnMesh):
         bound = is_head if cls.needs_landmarks else can_be_driven
         return (
             super().poll(context)
-            and require(cls, bound(subject(context)), "Find the face first, in the Head panel")
+            and require(cls, bound(required_subject(context)), "Find the face first, in the Head panel")
             and require_left_edit_mode(cls, context)
         )

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Callable, Generator
 from contextlib import closing
 from typing import Any
 
 import bpy
 
+from ..blender.stubs import OperatorMixin, OperatorResult
 from ..blender.work import Result, Work
 from .shared import ReportsErrors
 
@@ -21,12 +22,12 @@ _SLICE = 0.05
 _NAVIGATION = {"MOUSEMOVE", "MIDDLEMOUSE", "WHEELUPMOUSE", "WHEELDOWNMOUSE", "TRACKPADPAN", "TRACKPADZOOM"}
 
 
-class ShowsProgress:
+class ShowsProgress(OperatorMixin):
     """Mixin of modal operators: a timer ticks, and the pointer and the status bar show the progress."""
 
     _timer: bpy.types.Timer | None = None
 
-    def start_ticking(self, context: bpy.types.Context, interval: float) -> set[str]:
+    def start_ticking(self, context: bpy.types.Context, interval: float) -> OperatorResult:
         """Start the timer, with `interval` in seconds, and the progress, which goes from 0 to 1.
 
         Parameters
@@ -60,9 +61,9 @@ class WorksInSteps(ShowsProgress, ReportsErrors):
 
     in_window = False
     """Whether the work was started in a window."""
-    _steps: Iterator[float] | None = None
+    _steps: Generator[float, None, None] | None = None
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """Do the work; yield the fraction that is done, 0 to 1, whenever the window may be redrawn."""
         raise NotImplementedError
 
@@ -75,13 +76,13 @@ class WorksInSteps(ShowsProgress, ReportsErrors):
         for _ in self.steps(context):
             pass
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Start the work."""
         if bpy.app.background or context.window is None:
             return self.execute(context)
         return self.reporting(self._start, context)
 
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Do some steps."""
         if event.type == "ESC":
             self.cancel(context)
@@ -97,16 +98,17 @@ class WorksInSteps(ShowsProgress, ReportsErrors):
         if steps is not None:
             steps.close()
 
-    def _start(self, context: bpy.types.Context) -> set[str]:
+    def _start(self, context: bpy.types.Context) -> OperatorResult:
         self._steps, self.in_window = self.steps(context), True
         context.workspace.status_text_set(self.status())
         return self.start_ticking(context, _TICK)
 
-    def _go_on(self, context: bpy.types.Context) -> set[str]:
-        until, done = time.perf_counter() + _SLICE, 0.0
+    def _go_on(self, context: bpy.types.Context) -> OperatorResult:
+        until, done, steps = time.perf_counter() + _SLICE, 0.0, self._steps
+        assert steps is not None
         try:
             while time.perf_counter() < until:
-                done = next(self._steps)
+                done = next(steps)
         except StopIteration:
             self.cancel(context)
             return {"FINISHED"}
@@ -133,7 +135,8 @@ def in_background(work: Work[Result]) -> Generator[float, None, Result]:
                 failed = doing.error is not None
                 resume, outcome = (work.throw, doing.error) if failed else (work.send, doing.result)
         except StopIteration as end:
-            return end.value
+            result: Result = end.value
+            return result
 
 
 class Background:
@@ -153,7 +156,9 @@ class Background:
     """
 
     def __init__(self, work: Callable[[], Any]) -> None:
-        self._work, self.result, self.error = work, None, None
+        self._work = work
+        self.result: Any = None
+        self.error: Exception | None = None
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.name = "facemime-work"
         self._thread.start()

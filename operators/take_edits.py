@@ -5,6 +5,7 @@ import math
 import bpy
 from bpy.props import EnumProperty, FloatProperty, StringProperty
 
+from ..blender.stubs import OperatorResult
 from ..blender.timeline import frame_range, seconds_at, seconds_of
 from ..core.errors import FacemimeError
 from ..core.media.timecode import timecode
@@ -35,9 +36,13 @@ class AddsEditedTake(OnTake):
 
     suffix = ""
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Show the dialog."""
         return context.window_manager.invoke_props_dialog(self)
+
+    def changed(self, context: bpy.types.Context, take: Take) -> Take:
+        """Return the edited take."""
+        raise NotImplementedError
 
     def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
@@ -65,7 +70,7 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
     start: FloatProperty(name="Start (s)", description="Start of the part to keep, in seconds", min=0.0)
     end: FloatProperty(name="End (s)", description="End of the part to keep, in seconds", min=0.0)
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Show the dialog, set to the preview range if one is used, otherwise to the whole take."""
         self.start, self.end = 0.0, takes_store.chosen(context.scene).length
         self.keep = "TIMELINE" if context.scene.use_preview_range else "SECONDS"
@@ -144,7 +149,7 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
         several = len(context.scene.facemime_takes.items) > 1
         return super().poll(context) and require(cls, several, "Record or import another take first")
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Show the dialog; by default the newest other take is inserted at the current frame."""
         selected = takes_store.chosen(context.scene)
         self.other = [line.name for line in context.scene.facemime_takes.items if line != selected][-1]

@@ -1,6 +1,6 @@
 """Operators on the list of takes: record, show, remove, find, import, export, pack."""
 
-from collections.abc import Iterator
+from collections.abc import Generator
 from contextlib import closing
 
 import bpy
@@ -20,7 +20,7 @@ from ..sessions.countdown import COUNTDOWN
 from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..settings import takes_store
-from .puppet import FACEMIME_OT_puppet, running, start_puppet
+from .puppet import FACEMIME_OT_puppet, required_puppet, running, start_puppet
 from .shared import (
     AsksForFile,
     AsksForFileToWrite,
@@ -32,7 +32,7 @@ from .shared import (
     require,
     require_heads,
     require_no_session,
-    subject,
+    required_subject,
 )
 from .steps import WorksInSteps
 
@@ -73,13 +73,13 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         """Start recording, cancel the countdown, or stop and add the take to the list."""
         if running() is None:
             start_puppet()
-        session = running()
-        if session.recording is None:
-            if not session.cancel_countdown():
-                session.start_recording_after(_countdown(session, context.scene), context.scene, self.name)
+        session = required_puppet()
+        if session.recorder.recording is None:
+            if not session.recorder.cancel_countdown():
+                session.recorder.start_after(_countdown(session, context.scene), context.scene, self.name)
             return
-        recording = session.recording
-        session.stop_recording()
+        recording = session.recorder.recording
+        session.recorder.stop()
         if dropped := recording.dropped:
             report(
                 self,
@@ -231,9 +231,9 @@ class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
     def status(self) -> str:
         return _("Facemime: sampling the animation; Esc to cancel")
 
-    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """Sample a frame at each step, and add the take to the list."""
-        head = subject(context)
+        head = required_subject(context)
         sampling = Sampling(context.scene, head, head.name)
         with closing(iter(sampling)) as frames:
             for done in frames:

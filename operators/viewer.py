@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import bpy
 
-from .puppet import require_puppet, running
+from ..blender.stubs import OperatorMixin, OperatorResult
+from .puppet import require_puppet, required_puppet
 from .shared import report, require
 
 
-class _OfViewer:
+class _OfViewer(OperatorMixin):
     """Mixin: needs a running viewer."""
 
     bl_options = {"INTERNAL"}
@@ -16,7 +17,13 @@ class _OfViewer:
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet with a viewer."""
-        return require_puppet(cls) and require(cls, running().viewer is not None, "Enable the viewer first")
+        return require_puppet(cls) and require(cls, required_puppet().viewer is not None, "Enable the viewer first")
+
+
+def _address() -> str:
+    viewer = required_puppet().viewer
+    assert viewer is not None, "poll requires it"
+    return viewer.address
 
 
 class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
@@ -25,9 +32,10 @@ class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
     bl_idname = "facemime.open_viewer"
     bl_label = "Open in Browser"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Open the page."""
-        return bpy.ops.wm.url_open(url=running().viewer.address)
+        bpy.ops.wm.url_open(url=_address())
+        return {"FINISHED"}
 
 
 class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
@@ -36,9 +44,9 @@ class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
     bl_idname = "facemime.copy_viewer_address"
     bl_label = "Copy Address"
 
-    def execute(self, context: bpy.types.Context) -> set[str]:
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Copy the address to the clipboard."""
-        context.window_manager.clipboard = running().viewer.address
+        context.window_manager.clipboard = _address()
         report(self, "Address copied to the clipboard")
         return {"FINISHED"}
 

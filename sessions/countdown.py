@@ -64,7 +64,7 @@ class DelayedRecording:
     at : float
         When it starts, seconds of `time.perf_counter`.
     scene, name : str
-        As in `LiveSession.start_recording`.
+        As in `Recorder.start`.
     """
 
     at: float

@@ -6,6 +6,7 @@ from time import perf_counter
 from typing import Protocol
 
 import bpy
+import numpy as np
 
 from ..blender.contexts import in_a_window
 from ..blender.timeline import frames_of
@@ -18,12 +19,12 @@ from .recording import Recording
 
 
 class Recordable(Protocol):
-    """A live session that can be recorded."""
+    """What records a live session."""
 
     closed: bool
     recording: Recording | None
 
-    def start_recording(self, scene: bpy.types.Scene, name: str) -> Recording:
+    def start(self, scene: bpy.types.Scene, name: str) -> Recording:
         """Start a recording for the list of `scene`.
 
         Parameters
@@ -65,7 +66,7 @@ class PunchIn:
         self._sync_mode = scene.sync_mode
         self._begin = perf_counter() + lead
         scene.sync_mode = "AUDIO_SYNC"
-        scene.frame_set(round(frames_of(scene, start - lead, take_start(scene))))
+        scene.frame_set(round(float(frames_of(scene, np.array(start - lead), take_start(scene)))))
         screen = bpy.context.screen
         if screen is not None and not screen.is_animation_playing:
             bpy.ops.screen.animation_play()
@@ -75,13 +76,13 @@ class PunchIn:
         """Seconds until the recording starts; 0 while it is running."""
         return max(0.0, self._begin - perf_counter())
 
-    def step(self, session: Recordable) -> bool:
+    def step(self, recorder: Recordable) -> bool:
         """Continue, and return whether there is more to do; otherwise, and after an error, the playback is stopped.
 
         Parameters
         ----------
-        session : Recordable
-            Session to record.
+        recorder : Recordable
+            Records the range.
 
         Raises
         ------
@@ -90,14 +91,14 @@ class PunchIn:
         """
         more = False
         try:
-            more = self._step(session)
+            more = self._step(recorder)
         finally:
             if not more:
                 self._stop_playback()
         return more
 
-    def _step(self, session: Recordable) -> bool:
-        if session.closed or (self._recording is not None and not self._recording.running):
+    def _step(self, recorder: Recordable) -> bool:
+        if recorder.closed or (self._recording is not None and not self._recording.running):
             raise FacemimeError(
                 "The puppet was stopped before the end of the range. The part that was recorded is in the list."
             )
@@ -106,13 +107,13 @@ class PunchIn:
             raise FacemimeError("The scene of the take was deleted. Record the range in another scene.")
         if self._recording is None:
             if self.time_left == 0.0:
-                self._recording = session.start_recording(scene, "Insert")
+                self._recording = recorder.start(scene, "Insert")
             return True
         if self._recording.seconds < self._end - self._start:
             return True
         self._recording.stop()
         self._insert(scene, self._recording)
-        session.recording = None
+        recorder.recording = None
         return False
 
     def _insert(self, scene: bpy.types.Scene, recording: Recording) -> None:

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import bpy
 
@@ -178,7 +179,7 @@ class Recording:
             self._others[frame.performer] = part
         return part
 
-    def _info(self, part: _Part) -> dict:
+    def _info(self, part: _Part) -> dict[str, Any]:
         worker, source = self._worker, self._worker.source
         fps = (part.frames - 1) / part.last if part.last > 0.0 else 30.0
         width, height = worker.image_size

@@ -10,7 +10,6 @@ import atexit
 from typing import Self
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..blender.animation.bake import pose_targets_of
 from ..blender.animation.live import LiveHeadObject
@@ -160,14 +159,12 @@ def _attend() -> float | None:
     return None if Session.current is None or not Session.current.pending else _INTERVAL
 
 
-@persistent
 def _close_without_removal(*_: object) -> None:
     """Close the session before another file is loaded, when no data-block may be removed."""
     if Session.current is not None:
         Session.current.close(blocks=False)
 
 
-@persistent
 def _clear_undone(*_: object) -> None:
     """Remove what a session displayed from an undo step that was pushed during it; if it is running, it goes on."""
     session = Session.running()
@@ -183,7 +180,6 @@ def _clear_undone(*_: object) -> None:
         session.close(blocks=False)
 
 
-@persistent
 def _clear_opened(*_: object) -> None:
     """Remove what a session displayed from a file that was saved during it, or by Blender before a crash.
 
@@ -193,19 +189,16 @@ def _clear_opened(*_: object) -> None:
     clear_all_live(blocks=True)
 
 
-@persistent
 def _suspend(*_: object) -> None:
     if (session := Session.running()) is not None:
         session.suspend()
 
 
-@persistent
 def _before_undo(*_: object) -> None:
     if (session := Session.running()) is not None:
         session.before_undo()
 
 
-@persistent
 def _resume(*_: object) -> None:
     if (session := Session.running()) is not None:
         try:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
-from bpy.app.handlers import persistent
 
 from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import names_of
@@ -166,7 +165,6 @@ class TakeShow(Session):
             push_undo("Stop Showing Take")
 
 
-@persistent
 def _show(scene: bpy.types.Scene, *_: object) -> None:
     session = TakeShow.running()
     if session is None or bpy.app.is_job_running("RENDER"):

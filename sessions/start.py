@@ -13,9 +13,11 @@ from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
 from ..core.live.head_drivers import LiveHead
 from ..core.live.key_driver import LiveKeys
+from ..core.live.outputs import DrivenOutput
 from ..core.live.sources import LiveSource
 from ..core.live.worker import LiveOptions
 from ..core.streams.source import StreamSource
+from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..settings.bake_table import read_table
 from ..settings.performers import read_calibration, write_calibration
@@ -67,7 +69,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     ]
     name = scene.name
 
-    def keep_calibration(neutral) -> None:
+    def keep_calibration(neutral: Neutral) -> None:
         current = bpy.data.scenes.get(name)
         if current is not None and tracked and not neutral.measured:
             write_calibration(current.facemime, neutral)
@@ -95,8 +97,8 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     )
     session.keep, session.drive_by = settings.keep_pose, settings.drive_by
     try:
-        session.view(open_viewer(settings, objects))
-        session.send_vertices(open_vertices(settings.output, objects))
+        session.displays.view(open_viewer(settings, objects))
+        session.displays.send_vertices(open_vertices(settings.output, objects))
     except Exception:
         session.close()
         raise
@@ -157,7 +159,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])
-    if worker.output is not None:
+    if isinstance(worker.output, DrivenOutput):
         worker.output.options = options
     _choose_senders(worker.source, [None if shown.gone else shown.obj for shown in session.heads])
     follow_viewer(session, settings)

@@ -12,16 +12,17 @@ from ..blender.animation.appearance import read_appearance
 from ..blender.messages import show_error
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
+from ..core.live.worker import LiveWorker
 from ..core.streams.transport.addresses import LOOPBACK
 from ..core.streams.vertices import VertexSender
 from ..core.viewer.viewer_settings import new_token
 from ..settings.properties import FacemimeSettings
 from ..settings.stream_properties import FacemimeOutput
 from ..settings.values import sends_vertices, viewer_settings
-from .live import LiveSession
 
 if TYPE_CHECKING:
     from ..core.viewer.server import ViewerServer
+    from .live import LiveSession
 
 
 @lru_cache(maxsize=1)
@@ -74,6 +75,45 @@ def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -
     return VertexSender(output.host.strip() or LOOPBACK, output.port, [read_appearance(obj) for obj in objects])
 
 
+class Displays:
+    """The browsers and programs that show the heads of a session, besides its viewports."""
+
+    def __init__(self, worker: LiveWorker) -> None:
+        self._worker = worker
+        self._viewer: ViewerServer | None = None
+        self._vertices: VertexSender | None = None
+
+    @property
+    def viewer(self) -> ViewerServer | None:
+        """The server that shows the heads in browsers, if enabled."""
+        return self._viewer
+
+    @property
+    def vertices(self) -> VertexSender | None:
+        """The sender of the moved vertices, if enabled."""
+        return self._vertices
+
+    def view(self, viewer: ViewerServer | None) -> None:
+        """Replace the viewer, and end the previous one."""
+        before, self._viewer = self._viewer, viewer
+        self._replace(before)
+
+    def send_vertices(self, sender: VertexSender | None) -> None:
+        """Replace the sender of the moved vertices, and end the previous one."""
+        before, self._vertices = self._vertices, sender
+        self._replace(before)
+
+    def close(self) -> None:
+        """End the viewer and the sender."""
+        self.view(None)
+        self.send_vertices(None)
+
+    def _replace(self, before: ViewerServer | VertexSender | None) -> None:
+        self._worker.displays = tuple(one for one in (self._viewer, self._vertices) if one is not None)
+        if before is not None:
+            before.close()
+
+
 def follow_viewer(session: LiveSession, settings: FacemimeSettings) -> None:
     """Start or stop the server of a running session if the settings ask for it.
 
@@ -84,15 +124,15 @@ def follow_viewer(session: LiveSession, settings: FacemimeSettings) -> None:
     session : LiveSession
     settings : FacemimeSettings
     """
-    server = session.viewer
+    server = session.displays.viewer
     if server is not None and server.follow != (follow := (settings.rotation, settings.translation)):
         server.follow = follow
     try:
         wanted = viewer_settings(settings.viewer, token())
         if wanted == (None if server is None else server.settings):
             return
-        session.view(None)
-        session.view(open_viewer(settings, [None if shown.gone else shown.obj for shown in session.heads]))
+        session.displays.view(None)
+        session.displays.view(open_viewer(settings, [None if shown.gone else shown.obj for shown in session.heads]))
     except FacemimeError as error:
         settings.viewer.enabled = False
         show_error(str(error))

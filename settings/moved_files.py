@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..blender.messages import show_error
 from ..core.errors import OutputError
@@ -148,7 +147,6 @@ class _Saving:
     copies: dict[Path, Path] = {}
 
 
-@persistent
 def _before_saving(filepath: str, *_: object) -> None:
     """Copy the files of an unsaved .blend file beside it, and make the paths of takes relative to it."""
     blend = "" if Path(filepath).parent == Path(bpy.utils.user_resource("CONFIG")) else str(filepath)
@@ -160,7 +158,6 @@ def _before_saving(filepath: str, *_: object) -> None:
         _refer(owner, name, new, blend, getattr(owner, name) if new == old else str(new))
 
 
-@persistent
 def _after_saving(*_: object) -> None:
     """Remove what was copied from its earlier place, or refer to it again if a copy was saved, or nothing."""
     if bpy.data.filepath and _Saving.copies:
@@ -175,7 +172,6 @@ def _after_saving(*_: object) -> None:
     _Saving.before, _Saving.copies = [], {}
 
 
-@persistent
 def _after_undo(*_: object) -> None:
     """Let references of an undo step from before the first save find the files that have moved."""
     for owner, name in _references():
@@ -184,7 +180,6 @@ def _after_undo(*_: object) -> None:
             _refer(owner, name, new, bpy.data.filepath, str(new))
 
 
-@persistent
 def _after_loading(*_: object) -> None:
     _session.clear()
     _after_undo()
@@ -205,8 +200,10 @@ def _references() -> Iterator[tuple[Any, str]]:
             if data.library is None and data.filepath:
                 yield data, "filepath"
     for obj in bpy.data.objects:
-        for modifier in obj.modifiers if obj.library is None else ():
-            if modifier.type == "MESH_CACHE" and modifier.filepath:
+        if obj.library is not None:
+            continue
+        for modifier in obj.modifiers:
+            if isinstance(modifier, bpy.types.MeshCacheModifier) and modifier.filepath:
                 yield modifier, "filepath"
 
 

@@ -1,7 +1,6 @@
 """Properties of the panels Regions and Control Points, and the state of panels until Blender quits."""
 
 import bpy
-from bpy.app.handlers import persistent
 from bpy.props import (
     BoolProperty,
     CollectionProperty,
@@ -121,7 +120,6 @@ def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Fi
         line.problem, line.remedy, line.step = finding.problem, finding.remedy, finding.step
 
 
-@persistent
 def list_landmarks(*_: object) -> None:
     """Fill the list of landmarks of each window manager, which a panel must not write while drawing."""
     for manager in bpy.data.window_managers:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import bpy
-from bpy.app.handlers import persistent
 
 from ..core.errors import FacemimeError
 from ..core.takes.neutral import Neutral
+from .properties import FacemimePerformer
 
 if TYPE_CHECKING:
     from .properties import FacemimePerformer, FacemimeSettings
@@ -95,7 +95,6 @@ def forget(performer: FacemimePerformer) -> None:
     performer.calibration = ""
 
 
-@persistent
 def _before_saving(*_: object) -> None:
     for scene in bpy.data.scenes:
         # What a file had before there was this setting stays.

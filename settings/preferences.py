@@ -73,7 +73,9 @@ def preferences() -> FacemimePreferences:
     addons = bpy.context.preferences.addons
     if EXTENSION not in addons:
         addons.new().module = EXTENSION
-    return addons[EXTENSION].preferences
+    found = addons[EXTENSION].preferences
+    assert isinstance(found, FacemimePreferences)
+    return found
 
 
 def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None:

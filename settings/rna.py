@@ -6,13 +6,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 
 from ..core.files.setting import Choice, Setting, settings_of
 
 Group = TypeVar("Group")
-Owner = TypeVar("Owner", bound=type[bpy.types.PropertyGroup])
+Owner = TypeVar("Owner", bound=type)
 
 
 def with_settings(*groups: Any) -> Callable[[Owner], Owner]:

@@ -66,7 +66,7 @@ class FacemimeBake(bpy.types.PropertyGroup):
 class FacemimeTakes(bpy.types.PropertyGroup):
     """Takes of a scene."""
 
-    items: CollectionProperty(type=FacemimeTake)
+    items: CollectionProperty(type=FacemimeTake)  # type: ignore[assignment]  # hides that of bpy_struct
     index: IntProperty(name="Take", default=0, min=0)
     video: BoolProperty(
         name="Keep Video", description="Save the camera video with the take, as a reference and to track it again"

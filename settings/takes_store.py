@@ -201,7 +201,8 @@ def unpack(line: FacemimeTake) -> Path:
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed = relative(path), None
-    bpy.data.texts.remove(text)
+    if text is not None:
+        bpy.data.texts.remove(text)
     return path
 
 
@@ -230,8 +231,10 @@ def _loaded(path: Path, changed: int) -> Take:
 
 
 def _unpacked(line: FacemimeTake) -> Take:
+    text = line.packed
+    assert text is not None
     try:
-        return take_of(base64.b64decode(line.packed.as_string()))
+        return take_of(base64.b64decode(text.as_string()))
     except NewerFormatError as error:
         raise SourceError(f"The packed take {line.name} was written by a newer Facemime. Update Facemime.") from error
     except (ValueError, binascii.Error) as error:

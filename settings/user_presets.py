@@ -95,4 +95,6 @@ def remove(name: str) -> None:
 
 
 def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:
-    return {"settings": settings, "posing": settings.posing, "selection": settings.id_data.facemime_steps}
+    scene = settings.id_data
+    assert isinstance(scene, bpy.types.Scene)
+    return {"settings": settings, "posing": settings.posing, "selection": scene.facemime_steps}

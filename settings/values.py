@@ -144,23 +144,25 @@ def open_source(source: FacemimeSource) -> LiveSource:
     SourceError
         If nothing is selected, or the file is missing. A camera is opened only by its first `read`.
     """
-    playing = {"loop": source.loop, "speed": source.speed}
+    loop, speed = source.loop, source.speed
     if source.kind == "CAMERA":
         return _camera()
     if source.kind == "SAMPLE":
-        return VideoPlayer(SAMPLE, **playing)
+        return VideoPlayer(SAMPLE, loop=loop, speed=speed)
     if source.kind == "VIDEO":
-        return VideoPlayer(_chosen(source.video, "No video is selected. Select one under Source."), **playing)
+        video = _chosen(source.video, "No video is selected. Select one under Source.")
+        return VideoPlayer(video, loop=loop, speed=speed)
     if source.kind == "PICTURES":
         return PicturePlayer(
             _chosen(source.folder, "No folder of images is selected. Select one under Source."),
             rate=source.rate,
-            **playing,
+            loop=loop,
+            speed=speed,
         )
     if source.kind == "STREAM":
         return StreamSource(stream_settings(source.stream))
     path = _chosen(source.take, "No take is selected. Select one under Source.")
-    return TakePlayer(load_take(path), path.name, **playing)
+    return TakePlayer(load_take(path), path.name, loop=loop, speed=speed)
 
 
 def whole_file(source: FacemimeSource) -> str:

@@ -2,9 +2,11 @@
 
 import bpy
 
+from ..blender.stubs import Icon
 from ..operators.puppet import running
 from ..sessions.countdown import COUNTDOWN
 from ..settings.performers import calibration_of, stored_performers
+from ..settings.properties import FacemimePerformer
 from .sidebar import Sidebar, draw_list, labels, place
 from .status import countdown_text
 
@@ -12,7 +14,16 @@ from .status import countdown_text
 class FACEMIME_UL_performers(bpy.types.UIList):
     """List of performers, with a tick for those that are calibrated."""
 
-    def draw_item(self, context, layout, data, item, icon, active_data, active_property) -> None:
+    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.bpy_struct,
+        item: FacemimePerformer,
+        icon: int,
+        active_data: bpy.types.bpy_struct,
+        active_property: str,
+    ) -> None:
         """Draw one performer."""
         layout.prop(item, "name", text="", emboss=False, icon="CHECKMARK" if calibration_of(item) else "USER")
 
@@ -26,7 +37,7 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
         layout, settings, session = self.layout, context.scene.facemime, running()
-        buttons = {"add_performer": "ADD", "remove_performer": "REMOVE"}
+        buttons: dict[str, Icon] = {"add_performer": "ADD", "remove_performer": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_performers", settings, ("performers", "performer"), 2, buttons)
         if session is None:
             labels(layout, context, "Fits the puppet to your face. Start the puppet first", "INFO")
@@ -40,8 +51,8 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
             layout.operator("facemime.clear_calibrations", icon="TRASH")
         if session is None:
             return
-        if session.calibration is not None:
-            passed = 1.0 - min(session.calibration.left / COUNTDOWN, 1.0)
+        if session.calibrating.current is not None:
+            passed = 1.0 - min(session.calibrating.current.left / COUNTDOWN, 1.0)
             layout.progress(factor=passed, text=countdown_text(session), translate=False)
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")

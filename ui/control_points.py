@@ -7,7 +7,7 @@ from functools import lru_cache
 import bpy
 import bpy.utils.previews
 
-from ..blender.meshes import is_head, read_selection
+from ..blender.meshes import is_head, mesh_of, read_selection
 from ..blender.messages import CONTEXT, translated
 from ..blender.messages import interface as _
 from ..blender.names import SELECTION_PROPERTY
@@ -17,7 +17,8 @@ from ..core.control_points.table import PointRow, draw_curve, point_rows
 from ..core.errors import FacemimeError
 from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.regions import REGIONS
-from ..operators.shared import subject
+from ..operators.shared import required_subject, subject
+from ..settings.panel_properties import FacemimeLandmark, FacemimeSteps
 from .sidebar import OnHead, is_narrow, labels, place, side_by_side, split_labels
 
 _CURVE = "curve"
@@ -26,7 +27,7 @@ _CURVE = "curve"
 class _Icons:
     """The image of the curve, and the selection that it shows."""
 
-    previews: object = None
+    previews: bpy.utils.previews.ImagePreviewCollection | None = None
     selection: str = ""
 
 
@@ -37,17 +38,28 @@ def _selection_rows(text: str) -> list[PointRow]:
 
 def shown_rows(obj: bpy.types.Object) -> list[PointRow]:
     """Return a row for each landmark of the head `obj`; they are cached until the selection changes."""
-    return _selection_rows(str(obj.data.get(SELECTION_PROPERTY, "")))
+    return _selection_rows(str(mesh_of(obj).get(SELECTION_PROPERTY, "")))
 
 
 class FACEMIME_UL_landmarks(bpy.types.UIList):
     """List of landmarks: number, regions, order, and remaining error."""
 
-    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.bpy_struct,
+        item: FacemimeLandmark,
+        icon: int,
+        active_data: bpy.types.bpy_struct,
+        active_property: str,
+        index: int,
+    ) -> None:
         """Draw one landmark."""
-        if subject(context) is None or not is_head(subject(context)):
+        obj = subject(context)
+        if obj is None or not is_head(obj):
             return
-        row = shown_rows(subject(context))[index]
+        row = shown_rows(obj)[index]
         layout.active = bool(row.regions)
         names = ", ".join(_(REGIONS[r].name.capitalize()) for r in row.regions)
         number = str(IBUG68_INDICES[index])
@@ -60,9 +72,11 @@ class FACEMIME_UL_landmarks(bpy.types.UIList):
             text=f"{row.order}: {100 * row.error:.1f}%" if row.order and row.error == row.error else "", translate=False
         )
 
-    def filter_items(self, context, data, property_name) -> tuple[list[int], list[int]]:
+    def filter_items(  # type: ignore[override]  # Blender takes lists
+        self, context: bpy.types.Context, data: bpy.types.bpy_struct, property_name: str
+    ) -> tuple[list[int], list[int]]:
         """Sort the control points by their order of selection, before the other landmarks if these are listed."""
-        rows = shown_rows(subject(context))
+        rows = shown_rows(required_subject(context))
         all_listed = not context.scene.facemime_steps.only_chosen
         flags = [self.bitflag_filter_item if row.regions or all_listed else 0 for row in rows]
         wanted = sorted(rows, key=lambda row: (not row.regions, row.order or len(rows), row.landmark))
@@ -87,7 +101,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
         row.prop(steps, "show_points", icon="HIDE_OFF" if steps.show_points else "HIDE_ON")
         row.operator("facemime.pick_landmark", icon="EYEDROPPER")
         try:
-            selection = read_selection(obj.data)
+            selection = read_selection(mesh_of(obj))
         except FacemimeError as error:
             labels(layout, context, str(error), "ERROR")
             layout.operator("facemime.use_all_landmarks")
@@ -95,15 +109,15 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
         if selection is None:
             layout.label(text="All 66 landmarks", text_ctxt=CONTEXT)
         else:
-            _draw_curve(layout, str(obj.data[SELECTION_PROPERTY]), selection)
+            _draw_curve(layout, str(mesh_of(obj)[SELECTION_PROPERTY]), selection)
             layout.operator("facemime.use_all_landmarks")
         _draw_list(layout, context, steps)
-        if 0 <= steps.landmark < len(rows := shown_rows(obj)) and rows[steps.landmark].reason:
+        if 0 <= steps.landmark < len(rows := shown_rows(required_subject(context))) and rows[steps.landmark].reason:
             reasons = rows[steps.landmark].reason.split("; ")
             labels(layout, context, "; ".join(translated(reason, _) for reason in reasons), "INFO")
 
 
-def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) -> None:
+def _draw_selection(layout: bpy.types.UILayout, steps: FacemimeSteps) -> None:
     column = layout.column()
     split_labels(column)
     column.prop(steps, "search")
@@ -114,7 +128,7 @@ def _draw_selection(layout: bpy.types.UILayout, steps: bpy.types.PropertyGroup) 
     _apply(steps, buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"))
 
 
-def _apply(steps: bpy.types.PropertyGroup, button: bpy.types.OperatorProperties) -> bpy.types.OperatorProperties:
+def _apply(steps: FacemimeSteps, button: bpy.types.OperatorProperties) -> bpy.types.OperatorProperties:
     """Give a button that selects control points the settings of the panel, and return it."""
     button.tolerance, button.max_points, button.search = steps.tolerance, steps.max_points, steps.search
     return button
@@ -153,7 +167,7 @@ def _curve_icon(text: str, selection: GreedySelection) -> int:
     if _Icons.selection != text:
         picture = draw_curve(selection)
         icon.image_size = picture.shape[1::-1]
-        icon.image_pixels_float.foreach_set(picture.reshape(-1))
+        icon.image_pixels_float.foreach_set(picture.reshape(-1))  # type: ignore[attr-defined]  # it is an array
         _Icons.selection = text
     return icon.icon_id
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from typing import Any
 
 import blf
 import numpy as np
@@ -25,7 +26,7 @@ _PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING
 """Text that stays on one line: a word, or a wide character, with adjacent punctuation."""
 
 
-def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Triangulate a dot.
 
     Parameters
@@ -45,10 +46,11 @@ def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) ->
     """
     circle = place + radius * _CIRCLE
     fan = np.stack([np.broadcast_to(circle[:1], circle.shape), circle, np.roll(circle, -1, axis=0)], axis=1)
-    return fan.reshape(-1, 2).astype(np.float32), np.tile(np.float32((*colour, 1.0)[:4]), (3 * _CORNERS, 1))
+    rgba = np.array((*colour, 1.0)[:4], dtype=np.float32)
+    return fan.reshape(-1, 2).astype(np.float32), np.tile(rgba, (3 * _CORNERS, 1))
 
 
-def draw_triangles(triangles: list[tuple[np.ndarray, np.ndarray]]) -> None:
+def draw_triangles(triangles: list[tuple[NDArray[Any], NDArray[Any]]]) -> None:
     """Draw triangles, given as (corners, colours), in their order."""
     if triangles:
         _draw("TRIS", *(np.concatenate(part) for part in zip(*triangles, strict=True)))
@@ -65,16 +67,17 @@ def draw_lines(ends: NDArray[np.float64], colour: tuple[float, float, float, flo
         RGBA.
     """
     places = ends.reshape(-1, 2).astype(np.float32)
-    _draw("LINES", places, np.tile(np.float32(colour), (len(places), 1)))
+    _draw("LINES", places, np.tile(np.array(colour, dtype=np.float32), (len(places), 1)))
 
 
-def _draw(kind: str, places: np.ndarray, colours: np.ndarray) -> None:
+def _draw(kind: str, places: NDArray[Any], colours: NDArray[Any]) -> None:
     import gpu
     from gpu_extras.batch import batch_for_shader
 
     shader = gpu.shader.from_builtin("SMOOTH_COLOR")
     gpu.state.blend_set("ALPHA")
-    batch_for_shader(shader, kind, {"pos": np.pad(places, ((0, 0), (0, 1))), "color": colours}).draw(shader)
+    content: dict[str, Any] = {"pos": np.pad(places, ((0, 0), (0, 1))), "color": colours}
+    batch_for_shader(shader, kind, content).draw(shader)
     gpu.state.blend_set("NONE")
 
 
@@ -117,7 +120,7 @@ def draw_plate(text: str, place: tuple[float, float], size: float) -> None:
     width, pad = blf.dimensions(_FONT, text)[0], 0.4 * size
     low, high = np.array(place) - pad, np.array(place) + (width + pad, 0.7 * size + pad)
     corners = np.array([low, (high[0], low[1]), high, low, high, (low[0], high[1])], dtype=np.float32)
-    draw_triangles([(corners, np.tile(np.float32(_PLATE), (6, 1)))])
+    draw_triangles([(corners, np.tile(np.array(_PLATE, dtype=np.float32), (6, 1)))])
     draw_text(text, place, size)
 
 

@@ -4,7 +4,7 @@ import bpy
 
 from ..blender.heads.binding import missing_parts, read_marks
 from ..blender.heads.family import character_in, face_candidates, known_keys
-from ..blender.meshes import can_be_driven, driven_by_keys
+from ..blender.meshes import can_be_driven, driven_by_keys, mesh_of
 from ..blender.messages import interface as _
 from ..operators.shared import subject
 from .sidebar import Sidebar, draw_findings, labels, place
@@ -58,7 +58,7 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
         if obj is None:
             labels(layout, context, "Select a character, or add a head")
             return
-        marks = read_marks(obj.data)
+        marks = read_marks(mesh_of(obj))
         column = layout.column(align=True)
         if context.mode == "EDIT_MESH":
             column.operator_menu_enum(

@@ -1,12 +1,13 @@
 """Entries in Blender's menus."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import ClassVar, NamedTuple
 
 import bpy
 
 from ..blender.messages import CONTEXT
+from ..blender.stubs import EventType, Icon, MenuMixin
 
 
 def _add_head(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
@@ -17,7 +18,7 @@ def _import_facegen(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("facemime.import_facegen")
 
 
-_ENTRIES = (
+_ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
     (
         ("facemime.puppet", "PLAY"),
         ("facemime.stop_puppet", "SNAP_FACE"),
@@ -48,7 +49,7 @@ _ENTRIES = (
     ),
 )
 """Operators of the menu Facemime with their icons, in groups: live, takes, heads."""
-_SUBMENUS = (
+_SUBMENUS: tuple[tuple[tuple[str, Icon], ...], ...] = (
     (
         ("FACEMIME_MT_calibrate", "USER"),
         ("FACEMIME_MT_presets", "PRESET"),
@@ -63,7 +64,11 @@ _SUBMENUS = (
     ),
 )
 """Submenus below the operators of each group, with their icons."""
-_KEYS = (("facemime.puppet", "P"), ("facemime.stop_puppet", "P"), ("facemime.record_take", "R"))
+_KEYS: tuple[tuple[str, EventType], ...] = (
+    ("facemime.puppet", "P"),
+    ("facemime.stop_puppet", "P"),
+    ("facemime.record_take", "R"),
+)
 """Operators and their keys, with Shift and Alt: the first one that can run is run."""
 
 
@@ -89,30 +94,33 @@ class _Entry(NamedTuple):
     """An operator with its icon and, if it is not drawn with its own label and defaults, a label and properties."""
 
     operator: str
-    icon: str
+    icon: Icon
     text: str = ""
     properties: Mapping[str, str] = MappingProxyType({})
 
 
-def _drawing(*entries: _Entry) -> Callable[[bpy.types.Menu, bpy.types.Context], None]:
-    """Return the `draw` of a menu of operators."""
+class _ListsEntries(MenuMixin):
+    """Mixin: a menu of operators."""
 
-    def draw(self: bpy.types.Menu, context: bpy.types.Context) -> None:
+    entries: tuple[_Entry, ...]
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the operators."""
         self.layout.operator_context = "INVOKE_REGION_WIN"
-        for operator, icon, text, properties in entries:
-            label = {"text": text, "text_ctxt": CONTEXT} if text else {}
-            button = self.layout.operator(operator, icon=icon, **label)
+        for operator, icon, text, properties in self.entries:
+            if text:
+                button = self.layout.operator(operator, icon=icon, text=text, text_ctxt=CONTEXT)
+            else:
+                button = self.layout.operator(operator, icon=icon)
             for name, value in properties.items():
                 setattr(button, name, value)
 
-    return draw
 
-
-class FACEMIME_MT_calibrate(bpy.types.Menu):
+class FACEMIME_MT_calibrate(_ListsEntries, bpy.types.Menu):
     """Calibrate to the performer's face, and choose who performs"""
 
     bl_label = "Calibrate"
-    draw = _drawing(
+    entries = (
         _Entry("facemime.calibrate", "USER", text="Neutral Face", properties={"pose": "NEUTRAL"}),
         _Entry("facemime.calibrate", "HIDE_OFF", text="Eyes and Mouth", properties={"pose": "RANGE"}),
         _Entry("facemime.reset_calibration", "LOOP_BACK"),
@@ -122,18 +130,18 @@ class FACEMIME_MT_calibrate(bpy.types.Menu):
     )
 
 
-class FACEMIME_MT_viewer(bpy.types.Menu):
+class FACEMIME_MT_viewer(_ListsEntries, bpy.types.Menu):
     """Show the running puppet in a browser"""
 
     bl_label = "Viewer"
-    draw = _drawing(_Entry("facemime.open_viewer", "WORLD"), _Entry("facemime.copy_viewer_address", "COPYDOWN"))
+    entries = (_Entry("facemime.open_viewer", "WORLD"), _Entry("facemime.copy_viewer_address", "COPYDOWN"))
 
 
-class FACEMIME_MT_key_mapping(bpy.types.Menu):
+class FACEMIME_MT_key_mapping(_ListsEntries, bpy.types.Menu):
     """Map what is tracked to the shape keys that a head has"""
 
     bl_label = "Key Mapping"
-    draw = _drawing(
+    entries = (
         _Entry("facemime.detect_key_map", "VIEWZOOM"),
         _Entry("facemime.add_key_pose", "ADD"),
         _Entry("facemime.learn_key_map", "MODIFIER"),
@@ -143,11 +151,11 @@ class FACEMIME_MT_key_mapping(bpy.types.Menu):
     )
 
 
-class FACEMIME_MT_landmarks(bpy.types.Menu):
+class FACEMIME_MT_landmarks(_ListsEntries, bpy.types.Menu):
     """Change the landmarks and the parts of a character"""
 
     bl_label = "Landmarks and Parts"
-    draw = _drawing(
+    entries = (
         _Entry("facemime.pick_landmark", "EYEDROPPER"),
         _Entry("facemime.set_landmark", "PIVOT_CURSOR"),
         _Entry("facemime.clear_marks", "X"),
@@ -155,11 +163,11 @@ class FACEMIME_MT_landmarks(bpy.types.Menu):
     )
 
 
-class FACEMIME_MT_regions(bpy.types.Menu):
+class FACEMIME_MT_regions(_ListsEntries, bpy.types.Menu):
     """Paint and edit the regions of the face"""
 
     bl_label = "Regions"
-    draw = _drawing(
+    entries = (
         _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Upper", properties={"region": "UPPER"}),
         _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Middle", properties={"region": "MIDDLE"}),
         _Entry("facemime.paint_region", "BRUSH_DATA", text="Paint Lower", properties={"region": "LOWER"}),
@@ -170,11 +178,11 @@ class FACEMIME_MT_regions(bpy.types.Menu):
     )
 
 
-class FACEMIME_MT_control_points(bpy.types.Menu):
+class FACEMIME_MT_control_points(_ListsEntries, bpy.types.Menu):
     """Change which landmarks are control points"""
 
     bl_label = "Control Points"
-    draw = _drawing(
+    entries = (
         _Entry("facemime.select_live_points", "RESTRICT_VIEW_OFF"),
         _Entry("facemime.add_control_point", "ADD"),
         _Entry("facemime.drop_control_point", "REMOVE"),

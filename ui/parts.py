@@ -36,6 +36,7 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
         if context.mode == "EDIT_MESH":
             layout.operator_menu_enum("facemime.set_part", "part", text="Set Part of Selected Vertices")
             return
+        assert obj is not None, "poll requires it"
         head = obj if can_be_driven(obj) else pointed_to(obj, obj[HEAD_PROPERTY])
         if head is None:
             return

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from ..blender.heads.binding import read_marks
 from ..blender.heads.placing import Placing, place_of_mark
+from ..blender.meshes import mesh_of, object_of
 from ..blender.messages import interface as _
-from ..blender.viewports import free_box
+from ..blender.viewports import Viewport, free_box, viewport_drawn
 from ..core.binding.bind import MARKS
 from ..core.face.landmarks import EDGES, from_ibug
 from ..core.heads.built_in import load_head
@@ -37,54 +38,58 @@ def _outline() -> NDArray[np.float64]:
     if flat[from_ibug([8])[0], 1] > flat[from_ibug([27])[0], 1]:
         flat[:, 1] *= -1.0
     flat -= np.array([flat[:, 0].mean(), flat[:, 1].min()])
-    return flat / flat[:, 1].max()
+    return np.asarray(flat / flat[:, 1].max())
 
 
 def _draw() -> None:
     context = bpy.context
     placing = placing_on(subject(context))
-    if placing is None or not placing.asked or context.region is None:
+    seen = viewport_drawn(context)
+    if placing is None or not placing.asked or seen is None:
         return
     scale = context.preferences.system.ui_scale
-    _draw_marks(context, placing, scale)
+    _draw_marks(context, seen, placing, scale)
     if placing.next_mark is not None:
-        _draw_guide(context, placing, scale)
+        _draw_guide(seen, placing, placing.next_mark, scale)
 
 
-def _draw_marks(context: bpy.types.Context, placing: Placing, scale: float) -> None:
+def _draw_marks(context: bpy.types.Context, seen: Viewport, placing: Placing, scale: float) -> None:
     """Draw the marks, and a light dot where the search expects the next one."""
     drawn = []
-    for vertex in read_marks(placing.obj.data).values():
-        if (pixel := _pixel(context, placing.obj, vertex)) is not None:
+    obj = object_of(placing.obj)
+    for vertex in read_marks(mesh_of(obj)).values():
+        if (pixel := _pixel(context, seen, obj, vertex)) is not None:
             drawn += rimmed(pixel, _DOT * scale, _MARKED, scale)
-    expected = None if placing.next_mark is None else place_of_mark(placing.obj, placing.next_mark)
-    if expected is not None and (pixel := _pixel(context, placing.obj, expected)) is not None:
+    expected = None if placing.next_mark is None else place_of_mark(obj, placing.next_mark)
+    if expected is not None and (pixel := _pixel(context, seen, obj, expected)) is not None:
         drawn += rimmed(pixel, 0.7 * _DOT * scale, _EXPECTED, scale)
     draw_triangles(drawn)
 
 
-def _pixel(context: bpy.types.Context, obj: bpy.types.Object, vertex: int) -> NDArray[np.float64] | None:
+def _pixel(
+    context: bpy.types.Context, seen: Viewport, obj: bpy.types.Object, vertex: int
+) -> NDArray[np.float64] | None:
     evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
-    if vertex >= len(evaluated.data.vertices):
+    if vertex >= len(mesh_of(evaluated).vertices):
         return None
-    place = evaluated.matrix_world @ evaluated.data.vertices[vertex].co
-    pixel = view3d_utils.location_3d_to_region_2d(context.region, context.region_data, place)
+    place = evaluated.matrix_world @ mesh_of(evaluated).vertices[vertex].co
+    pixel = view3d_utils.location_3d_to_region_2d(seen.region, seen.view, place)
     return None if pixel is None else np.array(pixel)
 
 
-def _draw_guide(context: bpy.types.Context, placing: Placing, scale: float) -> None:
+def _draw_guide(seen: Viewport, placing: Placing, next_mark: int, scale: float) -> None:
     """Draw the small face, with the next point and its name."""
     size = _FACE * scale
     outline = size * _outline()
-    free = free_box(context.area, context.region)
+    free = free_box(seen.area, seen.region)
     corner = np.array([free.left, free.bottom]) + MARGIN * scale
     outline += corner + (np.ptp(outline[:, 0]) / 2.0, 0.0)
     draw_lines(outline[np.array(EDGES)], _LINE)
-    asked = outline[from_ibug([placing.next_mark])[0]]
+    asked = outline[from_ibug([next_mark])[0]]
     marked = [outline[from_ibug([number])[0]] for number in placing.asked[: placing.step]]
     draw_triangles([dot(place, 0.6 * _DOT * scale, _MARKED) for place in marked])
     draw_triangles(rimmed(asked, _DOT * scale, _ASKED, scale))
-    name = _(MARKS[placing.next_mark].capitalize())
+    name = _(MARKS[next_mark].capitalize())
     number, count = placing.step + 1, len(placing.asked)
     text = _("{number} of {count}: {name}").format(number=number, count=count, name=name)
     draw_text(text, (corner[0], corner[1] + size + 12 * scale), 14 * scale, WHITE)

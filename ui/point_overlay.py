@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
 from ..blender.heads.landmark_places import landmark_places
 from ..blender.meshes import is_head
+from ..blender.viewports import shows_overlays, viewport_drawn
 from ..core.control_points.table import REGION_COLOURS, PointRow
 from ..core.errors import FacemimeError
 from ..operators.shared import subject
@@ -23,9 +26,10 @@ def _draw() -> None:
     obj, steps = subject(context), context.scene.facemime_steps
     if not steps.show_points or obj is None or not is_head(obj) or not obj.visible_get():
         return
-    if not context.space_data.overlay.show_overlays or context.mode == "EDIT_MESH":
+    seen = viewport_drawn(context)
+    if seen is None or not shows_overlays(context) or context.mode == "EDIT_MESH":
         return
-    region, view = context.region, np.array(context.region_data.perspective_matrix)
+    region, view = seen.region, np.array(seen.view.perspective_matrix)
     try:
         rows = shown_rows(obj)
         places = landmark_places(obj, context.evaluated_depsgraph_get(), view, (region.width, region.height))
@@ -37,7 +41,7 @@ def _draw() -> None:
 
 def dots(
     rows: list[PointRow], pixels: NDArray[np.float64], facing: NDArray[np.bool_], selected: int, scale: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
+) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Triangulate a dot with a dark rim for each landmark that faces the viewer.
 
     Parameters
@@ -72,7 +76,7 @@ def dots(
 
 def rimmed(
     place: NDArray[np.float64], radius: float, colour: tuple[float, float, float], scale: float
-) -> list[tuple[np.ndarray, np.ndarray]]:
+) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Triangulate a dot with a dark rim.
 
     Parameters

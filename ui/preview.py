@@ -6,12 +6,14 @@ The worker has already drawn the landmarks into the image; this module only uplo
 from __future__ import annotations
 
 from inspect import signature
+from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..blender.messages import interface as _
-from ..blender.viewports import free_box
+from ..blender.viewports import free_box, viewport_drawn
 from ..operators.preview_place import MARGIN, Box, has_preview, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
@@ -25,7 +27,7 @@ _RED = (1.0, 0.25, 0.2, 1.0)
 class _Preview:
     """The texture of the newest image."""
 
-    texture: object = None
+    texture: Any = None
     number = -1
 
 
@@ -34,30 +36,32 @@ def _draw() -> None:
     if session is None:
         _Preview.texture = None
         return
-    context, latest = bpy.context, session.shown
-    if context.region is None:
+    context, latest, seen = bpy.context, session.shown, viewport_drawn(bpy.context)
+    if seen is None or context.screen is None:
         return
     scale = context.preferences.system.ui_scale
-    if latest is not None and latest.preview is not None and has_preview(context.screen, context.region):
-        box = preview_box(context.area, context.region, latest.preview.shape[:2])
+    if latest is not None and latest.preview is not None and has_preview(context.screen, seen.region):
+        height, width = latest.preview.shape[:2]
+        box = preview_box(seen.area, seen.region, (height, width))
         _draw_picture(latest.number, latest.preview, box)
         _draw_grip(box, scale)
         draw_plate(latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
-    free = free_box(context.area, context.region)
+    free = free_box(seen.area, seen.region)
     span = free.left, free.right
-    _draw_countdown(span, context.region.height, session, scale)
-    if session.recording is not None:
-        _draw_recording(span, free.top, session.recording.seconds, scale)
+    _draw_countdown(span, seen.region.height, session, scale)
+    if session.recorder.recording is not None:
+        _draw_recording(span, free.top, session.recorder.recording.seconds, scale)
 
 
-def _draw_picture(number: int, picture: np.ndarray, box: Box) -> None:
+def _draw_picture(number: int, picture: NDArray[Any], box: Box) -> None:
     import gpu
     from gpu_extras.presets import draw_texture_2d
 
     if number != _Preview.number or _Preview.texture is None:
         height, width = picture.shape[:2]
-        buffer = gpu.types.Buffer("FLOAT", picture.size, np.ascontiguousarray(picture).reshape(-1))
-        _Preview.texture = gpu.types.GPUTexture((width, height), format="RGBA8", data=buffer)
+        types: Any = gpu.types  # the stubs lack constructors
+        buffer = types.Buffer("FLOAT", picture.size, np.ascontiguousarray(picture).reshape(-1))
+        _Preview.texture = types.GPUTexture((width, height), format="RGBA8", data=buffer)
         _Preview.number = number
     gpu.state.blend_set("NONE")
     # Since Blender 5.0 the viewport's frame buffer leaves the conversion from linear light to the caller.

@@ -19,7 +19,7 @@ class FACEMIME_PT_regions(OnHead, bpy.types.Panel):
         """Draw the panel."""
         layout, obj, steps = self.layout, subject(context), context.scene.facemime_steps
         row = side_by_side(layout, context)
-        active = obj.vertex_groups.active if context.mode == "PAINT_WEIGHT" else None
+        active = obj.vertex_groups.active if obj is not None and context.mode == "PAINT_WEIGHT" else None
         for (region, text), name in zip(_BUTTONS, REGION_GROUPS, strict=True):
             depress = active is not None and active.name == name
             row.operator("facemime.paint_region", text=text, depress=depress).region = region

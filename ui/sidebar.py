@@ -1,11 +1,14 @@
 """Base class, order and layout helpers of the panels in the sidebar tab."""
 
+from collections.abc import Mapping
+
 import blf
 import bpy
 
 from ..blender.meshes import is_head
 from ..blender.messages import interface, translated
-from ..operators.shared import subject
+from ..blender.stubs import Icon, PanelMixin
+from ..operators.shared import required_subject, subject
 from .documentation import draw_link
 from .drawing import wrap
 
@@ -24,7 +27,7 @@ _HEADER, _INSET, _ICON = 76.0, 14.0, 20.0
 a subpanel is indented; and an icon."""
 
 
-class Sidebar:
+class Sidebar(PanelMixin):
     """Mixin: a panel in the sidebar tab Facemime."""
 
     bl_space_type = "VIEW_3D"
@@ -49,10 +52,11 @@ class OnHead(Sidebar):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active head."""
-        return subject(context) is not None and is_head(subject(context))
+        obj = subject(context)
+        return obj is not None and is_head(obj)
 
 
-def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE") -> None:
+def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: Icon = "NONE") -> None:
     """Draw `text`, translated and wrapped to the width of the sidebar.
 
     Parameters
@@ -80,7 +84,7 @@ def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     context : bpy.types.Context
     """
     memory = context.window_manager.facemime
-    if memory.checked != subject(context).name:
+    if memory.checked != required_subject(context).name:
         return
     if not memory.findings:
         labels(layout, context, "Ready", "CHECKMARK")
@@ -103,7 +107,7 @@ def draw_list(
     owner: bpy.types.PropertyGroup,
     fields: tuple[str, str],
     rows: int,
-    buttons: dict[str, str],
+    buttons: Mapping[str, Icon],
     menu: str = "",
 ) -> None:
     """Draw a list with buttons next to it, and a menu below them.

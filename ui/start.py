@@ -6,6 +6,7 @@ import bpy
 
 from ..blender.heads.family import character_in, face_candidates, known_keys
 from ..blender.messages import interface as _
+from ..blender.stubs import Icon
 from ..core.live.camera import explain_failure, list_cameras
 from ..operators.place_points import placing_on
 from ..operators.puppet import running
@@ -15,6 +16,7 @@ from ..sessions.show import TakeShow
 from ..sessions.tracking import TrackingSession
 from ..settings.panel_properties import problem_of
 from ..settings.preferences import preferences
+from ..settings.properties import FacemimeSource
 from ..settings.values import FILE_OF, whole_file
 from .sidebar import Sidebar, labels, place, side_by_side
 from .status import draw_progress, summary
@@ -77,7 +79,7 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
         labels(layout, context, text, icon)
 
 
-def _draw_video(layout: bpy.types.UILayout, row: bpy.types.UILayout, source: bpy.types.PropertyGroup) -> None:
+def _draw_video(layout: bpy.types.UILayout, row: bpy.types.UILayout, source: FacemimeSource) -> None:
     """Draw the buttons for a video: every frame is tracked and baked, or it is played live."""
     button = row.operator("facemime.puppet_video", text="Track and Bake", icon="FILE_MOVIE")
     if path := whole_file(source):
@@ -90,7 +92,7 @@ def _draw_video(layout: bpy.types.UILayout, row: bpy.types.UILayout, source: bpy
 def _draw_take(layout: bpy.types.UILayout, context: bpy.types.Context, session: LiveSession | None) -> None:
     """Draw what can be done with a take that was just recorded."""
     takes = context.scene.facemime_takes
-    recording = session is not None and (session.recording is not None or session.recording_countdown is not None)
+    recording = session is not None and (session.recorder.recording is not None or session.recorder.delayed is not None)
     if not context.window_manager.facemime.recorded or recording or not 0 <= takes.index < len(takes.items):
         return
     column = layout.column(align=True)
@@ -124,10 +126,10 @@ def _draw_binding(
 
 
 def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
-    if session.recording_countdown is not None:
+    if session.recorder.delayed is not None:
         layout.operator("facemime.record_take", text="Cancel", icon="X", depress=True)
         return
-    recording = session.recording is not None
+    recording = session.recorder.recording is not None
     layout.operator(
         "facemime.record_take", text="Stop Recording" if recording else "Record", icon="REC", depress=recording
     )
@@ -135,7 +137,7 @@ def _draw_record(layout: bpy.types.UILayout, session: LiveSession) -> None:
 
 def _next_step(
     context: bpy.types.Context, heads: list[bpy.types.Object], character: bpy.types.Object | None
-) -> tuple[str, str]:
+) -> tuple[str, Icon]:
     """Return the next step, and an icon."""
     if context.mode == "EDIT_MESH":
         return _("Leave Edit Mode first"), "INFO"
@@ -167,7 +169,7 @@ def _next_step(
     return _("Ready"), "CHECKMARK"
 
 
-def _absent_camera(source: bpy.types.PropertyGroup) -> str:
+def _absent_camera(source: FacemimeSource) -> str:
     """Return the message for a numbered camera that Linux does not have; other systems cannot be asked."""
     device = preferences().camera.strip()
     if source.kind != "CAMERA" or sys.platform != "linux" or not device.isdecimal():
@@ -185,8 +187,12 @@ class FACEMIME_MT_add(bpy.types.Menu):
         """Draw the ways to add or find a head."""
         layout = self.layout
         layout.operator_context = "INVOKE_DEFAULT"
-        for units, text, icon in ((False, _("Head"), "MONKEY"), (True, _("Head with ARKit Keys"), "SHAPEKEY_DATA")):
-            layout.operator_menu_enum("facemime.add_head", "person", text=text, icon=icon).units = units
+        plain = layout.operator_menu_enum("facemime.add_head", "person", text=_("Head"), icon="MONKEY")
+        plain.units = False
+        keyed = layout.operator_menu_enum(
+            "facemime.add_head", "person", text=_("Head with ARKit Keys"), icon="SHAPEKEY_DATA"
+        )
+        keyed.units = True
         layout.operator("facemime.import_facegen", text="FaceGen Head", icon="IMPORT")
         layout.separator()
         layout.operator("facemime.bind_landmarks", text="Find Face of Selected Character", icon="VIEWZOOM")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.messages import interface as _
+from ..blender.stubs import Icon
 from ..core.streams.source import StreamSource
 from ..core.tracking.hidden_mouth import is_hidden
 from ..operators.puppet import running
@@ -43,7 +44,8 @@ def countdown_text(session: LiveSession) -> str:
         return ""
     if left > 0.0:
         return str(int(left) + 1)
-    return _("Now") if session.calibration is not None and session.calibration.range_of else _("Hold Still")
+    calibration = session.calibrating.current
+    return _("Now") if calibration is not None and calibration.range_of else _("Hold Still")
 
 
 def latency_text(session: LiveSession) -> str:
@@ -55,7 +57,7 @@ def _hidden() -> str:
     return _("The mouth is covered and stays as it was")
 
 
-def summary(session: LiveSession) -> tuple[str, str]:
+def summary(session: LiveSession) -> tuple[str, Icon]:
     """Return the most important line about a session, and its icon: what is wrong, or otherwise how fast it is."""
     worker, latest = session.worker, session.shown
     if (error := worker.message or (worker.recording_error and str(worker.recording_error))) and error:
@@ -68,17 +70,18 @@ def summary(session: LiveSession) -> tuple[str, str]:
         return _("Keep a relaxed face"), "TIME"
     if is_hidden(latest.result.landmark_confidence):
         return _hidden(), "HIDE_ON"
-    if session.recording is not None:
-        count, dropped = session.recording.frames, session.recording.dropped
+    if session.recorder.recording is not None:
+        count, dropped = session.recorder.recording.frames, session.recorder.recording.dropped
         if dropped:
             return _("{count} frames recorded, {dropped} skipped").format(count=count, dropped=dropped), "REC"
         return _("{count} frames recorded").format(count=count), "REC"
     return latency_text(session), "PREVIEW_RANGE"
 
 
-def status_lines(session: LiveSession) -> list[tuple[str, str]]:
+def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     """Return (text, icon) of each line: errors, then the delay, then the counts."""
-    worker, lines = session.worker, []
+    worker = session.worker
+    lines: list[tuple[str, Icon]] = []
     if worker.message:
         lines.append((worker.message, "ERROR"))
     if worker.recording_error is not None:
@@ -116,16 +119,17 @@ def received() -> StreamSource | None:
     return source if isinstance(source, StreamSource) else None
 
 
-def _stream_lines(session: LiveSession) -> list[tuple[str, str]]:
+def _stream_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     """Return the counts of packets received over the network, and of frames sent."""
-    lines, source, output = [], session.worker.source, session.worker.output
+    source, output = session.worker.source, session.worker.output
+    lines: list[tuple[str, Icon]] = []
     if isinstance(source, StreamSource):
         counts = source.counts
         wrong = counts.malformed + counts.refused + counts.flooded
         numbers = {"received": counts.received, "wrong": wrong, "lost": counts.lost}
         lines.append((_("{received} packets, {wrong} refused, {lost} frames lost").format(**numbers), "URL"))
         lines += [(_who_drives(session, name, source.driven.get(name, ())), "USER") for name in source.senders]
-    for sender in (output, session.vertices):
+    for sender in (output, session.displays.vertices):
         if sender is None:
             continue
         text = sender.message or _("{count} frames sent").format(count=sender.sent)

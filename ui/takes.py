@@ -3,14 +3,16 @@
 import bpy
 
 from ..blender.animation.underneath import playing_under
-from ..blender.meshes import can_be_driven
+from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
+from ..blender.stubs import Icon
 from ..core.bake.bake_settings import AUTOMATIC
 from ..core.media.timecode import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
 from ..settings.bake_table import table_so_far
+from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
 
 _MAPPED = "mapped"
@@ -19,7 +21,17 @@ _MAPPED = "mapped"
 class FACEMIME_UL_takes(bpy.types.UIList):
     """List of takes: favourite, name, note, packed, duration."""
 
-    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.bpy_struct,
+        item: FacemimeTake,
+        icon: int,
+        active_data: bpy.types.bpy_struct,
+        active_property: str,
+        index: int,
+    ) -> None:
         """Draw one take."""
         row = layout.row(align=True)
         row.prop(item, "star", text="", icon="SOLO_ON" if item.star else "SOLO_OFF", emboss=False)
@@ -34,7 +46,17 @@ class FACEMIME_UL_takes(bpy.types.UIList):
 class FACEMIME_UL_key_rows(bpy.types.UIList):
     """List of the rows of the key mapping; the selected one has its factors below the list."""
 
-    def draw_item(self, context, layout, data, item, icon, active_data, active_property, index) -> None:
+    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.bpy_struct,
+        item: FacemimeKeyRow,
+        icon: int,
+        active_data: bpy.types.bpy_struct,
+        active_property: str,
+        index: int,
+    ) -> None:
         """Draw one row."""
         line = layout.split(factor=0.5, align=True)
         line.label(text=item.source, translate=False)
@@ -52,8 +74,8 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         """Draw the panel."""
         layout, takes = self.layout, context.scene.facemime_takes
         session = running()
-        punch_in = None if session is None else session.punch_in
-        recording = session is not None and session.recording is not None
+        punch_in = None if session is None else session.recorder.punch_in
+        recording = session is not None and session.recorder.recording is not None
         if punch_in is not None and not recording:
             labels(layout, context, _("Recording in {seconds:.0f} s").format(seconds=punch_in.time_left), "TIME")
         elif not len(takes.items):
@@ -65,7 +87,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
             )
         elif not bpy.data.filepath:
             labels(layout, context, "Takes are in your documents until you save the .blend file", "INFO")
-        buttons = {"import_take": "IMPORT", "remove_take": "REMOVE"}
+        buttons: dict[str, Icon] = {"import_take": "IMPORT", "remove_take": "REMOVE"}
         draw_list(layout, "FACEMIME_UL_takes", takes, ("items", "index"), 3, buttons, menu="FACEMIME_MT_takes")
         column = layout.column()
         split_labels(column)
@@ -153,7 +175,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         column = layout.column()
         split_labels(column)
         column.prop(bake, "table")
-        buttons = {
+        buttons: dict[str, Icon] = {
             "add_key_row": "ADD",
             "remove_key_row": "REMOVE",
             "import_key_map": "IMPORT",
@@ -168,8 +190,8 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
             column = layout.column(align=True)
             split_labels(column)
             column.prop(line, "source")
-            if obj is not None and obj.type == "MESH" and obj.data.shape_keys is not None:
-                column.prop_search(line, "key", obj.data.shape_keys, "key_blocks")
+            if obj is not None and obj.type == "MESH" and mesh_of(obj).shape_keys is not None:
+                column.prop_search(line, "key", mesh_of(obj).shape_keys, "key_blocks")
             else:
                 column.prop(line, "key")
             column.prop(line, "gain")

@@ -19,7 +19,7 @@ def texts() -> dict[str, dict[tuple[str, str], str]]:
 
 def register() -> None:
     """Register the translations."""
-    bpy.app.translations.register(__package__, texts())
+    bpy.app.translations.register(__package__, texts())  # type: ignore[arg-type]  # keyed by context and text
 
 
 def unregister() -> None:

@@ -18,7 +18,7 @@ _MODULE = 8
 class _Icons:
     """The QR code of the address that is served."""
 
-    previews: object = None
+    previews: bpy.utils.previews.ImagePreviewCollection | None = None
     address = ""
 
 
@@ -47,7 +47,7 @@ class FACEMIME_PT_viewer(Sidebar, bpy.types.Panel):
         row = side_by_side(layout, context)
         row.operator("facemime.open_viewer", icon="URL")
         row.operator("facemime.copy_viewer_address", icon="COPYDOWN")
-        server = None if session is None else session.viewer
+        server = None if session is None else session.displays.viewer
         if server is None:
             return
         if server.message:
@@ -59,14 +59,16 @@ class FACEMIME_PT_viewer(Sidebar, bpy.types.Panel):
 
 def _code(address: str) -> int:
     """Return the icon of the QR code of an address."""
-    if _Icons.address != address or "code" not in _Icons.previews:
-        _Icons.previews.clear()
-        icon = _Icons.previews.new("code")
+    previews = _Icons.previews
+    assert previews is not None, "made when the panel is registered"
+    if _Icons.address != address or "code" not in previews:
+        previews.clear()
+        icon = previews.new("code")
         light = np.kron(~qr_code(address)[::-1], np.ones((_MODULE, _MODULE), dtype=np.float32))
         icon.image_size = light.shape
-        icon.image_pixels_float = np.dstack([light, light, light, np.ones_like(light)]).ravel()
+        icon.image_pixels_float = np.dstack([light, light, light, np.ones_like(light)]).ravel()  # type: ignore[assignment]  # an array
         _Icons.address = address
-    return _Icons.previews["code"].icon_id
+    return previews["code"].icon_id
 
 
 CLASSES = (FACEMIME_PT_viewer,)

@@ -13,7 +13,7 @@ from ...core.numeric.arrays import FloatArray
 from ...core.takes.neutral import calibrate
 from ...core.takes.take import Take
 from ..characters import objects_of
-from .bake_keys import key_names
+from ..meshes import key_names, keys_of
 
 _STILL = 1e-4
 """Largest value of keys that count as not animated: less than a step of a take's coefficients matters."""
@@ -85,4 +85,4 @@ def _table(names: list[list[str]]) -> KeyMap | None:
 
 def _values(final: bpy.types.Object) -> dict[str, float]:
     """Values of the keys of an evaluated mesh; those of muted ones are 0."""
-    return {key.name: 0.0 if key.mute else float(key.value) for key in final.data.shape_keys.key_blocks}
+    return {key.name: 0.0 if key.mute else float(key.value) for key in keys_of(final).key_blocks}

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,7 +15,7 @@ from ...core.files.reading import read_bytes
 from ...core.heads.appearance import Appearance, AttachedPart, Material, Patch
 from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender
-from ..meshes import read_faces, read_vertices
+from ..meshes import keys_of, mesh_of, read_faces, read_vertices
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..surfaces import linked_image, principled
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue
@@ -58,11 +59,11 @@ def _attached(
     kind = str(obj.get(PART_PROPERTY, ""))
     follows = "jaw" if kind in JAW_PARTS else kind if kind in EYE_PARTS else "head"
     to_head = rest_matrix(head).inverted_safe() @ rest_matrix(obj)
-    vertices = read_vertices(obj.data)
+    vertices = read_vertices(mesh_of(obj))
     out = None
     if has_tongue(obj):
         flat = np.empty(3 * len(vertices), dtype=np.float32)
-        obj.data.shape_keys.key_blocks[TONGUE_KEY].points.foreach_get("co", flat)
+        keys_of(obj).key_blocks[TONGUE_KEY].points.foreach_get("co", flat)
         put_out = from_blender(flat.reshape(-1, 3))
         out = (_placed(to_head, put_out) - _placed(to_head, vertices)).astype(np.float32)
     return AttachedPart(
@@ -74,7 +75,7 @@ def _attached(
     )
 
 
-def _placed(matrix: Matrix, points: NDArray[np.floating]) -> NDArray[np.float32]:
+def _placed(matrix: Matrix, points: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
     """Transform (N, 3) points of the head frame by a matrix in Blender's axes."""
     move = np.array(matrix)
     return from_blender(to_blender(points) @ move[:3, :3].T + move[:3, 3]).astype(np.float32)
@@ -82,7 +83,7 @@ def _placed(matrix: Matrix, points: NDArray[np.floating]) -> NDArray[np.float32]
 
 def _patches(obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Material], first: int) -> Iterator[Patch]:
     """Yield the faces of a mesh by material; vertices are counted from `first`."""
-    mesh = obj.data
+    mesh = mesh_of(obj)
     faces = read_faces(mesh)
     numbers = np.empty(len(faces), dtype=np.int32)
     mesh.polygons.foreach_get("material_index", numbers)
@@ -117,8 +118,13 @@ def _surface(material: bpy.types.Material | None) -> Material:
         colour = shader.inputs["Base Color"]
         image, alpha = _encoded(linked_image(colour)), shader.inputs["Alpha"].is_linked
         if not image and not colour.is_linked:
-            return Material(tuple(colour.default_value[:3]), float(shader.inputs["Roughness"].default_value))
-    return Material(tuple(material.diffuse_color[:3]), float(material.roughness), image, alpha)
+            return Material(_rgb(colour.default_value[:]), float(shader.inputs["Roughness"].default_value))
+    return Material(_rgb(material.diffuse_color[:]), float(material.roughness), image, alpha)
+
+
+def _rgb(colour: Sequence[float]) -> tuple[float, float, float]:
+    red, green, blue, *_ = colour
+    return red, green, blue
 
 
 def _encoded(node: bpy.types.ShaderNodeTexImage | None) -> bytes:

@@ -14,7 +14,7 @@ from typing import Any
 import bpy
 
 from ..actions import baked_paths
-from ..fcurves import curves_in, find_curve, owned_paths, slot_handle
+from ..fcurves import action_name, curves_in, find_curve, owned_paths, slot_handle
 from ..names import ASIDE_PROPERTY
 from ..tracks import is_baked, tracks_of_bakes
 from .bake_cache import MODIFIER
@@ -82,8 +82,10 @@ def bake_of(owner: bpy.types.ID) -> list[Item]:
 
 def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
     data = owner.animation_data
+    if data is None:
+        return []
     found = [curve for curve in curves_in(data) if wanted(curve.data_path)]
-    return [["curve", data.action.name, slot_handle(data), curve.data_path, curve.array_index] for curve in found]
+    return [["curve", action_name(data), slot_handle(data), curve.data_path, curve.array_index] for curve in found]
 
 
 def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> dict[tuple[str, int], float]:
@@ -137,7 +139,7 @@ def keys(names: Iterable[str]) -> list[Item]:
 def display_of(obj: bpy.types.Object) -> list[Item]:
     """Return the cache of an object, and that it shows its active shape key alone."""
     cache = obj.modifiers.get(MODIFIER)
-    shown = [] if cache is None else [["modifier", MODIFIER, cache.show_viewport, cache.show_render]]
+    shown: list[Item] = [] if cache is None else [["modifier", MODIFIER, cache.show_viewport, cache.show_render]]
     return [*shown, *([["solo"]] if obj.show_only_shape_key else [])]
 
 
@@ -145,9 +147,11 @@ def _switch(owner: bpy.types.ID, item: Item, *, aside: bool) -> bool:
     """Set an item aside or restore it; return whether it was there, and not already so."""
     kind, *which = item
     if kind == "solo":
+        assert isinstance(owner, bpy.types.Object)
         changed, owner.show_only_shape_key = owner.show_only_shape_key == aside, not aside
         return bool(changed)
     if kind == "modifier":
+        assert isinstance(owner, bpy.types.Object)
         name, in_viewport, in_render = which
         if (modifier := owner.modifiers.get(name)) is None:
             return False
@@ -164,6 +168,7 @@ def _switch(owner: bpy.types.ID, item: Item, *, aside: bool) -> bool:
 def _find(owner: bpy.types.ID, kind: str, which: list[Any]) -> Any:
     """Return a curve, driver, track or shape key; None if it was removed."""
     if kind == "key":
+        assert isinstance(owner, bpy.types.Key)
         return owner.key_blocks.get(which[0])
     if kind == "curve":
         action = bpy.data.actions.get(which[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,6 +15,7 @@ from ...core.errors import HeadError, SourceError
 from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
 from ..characters import members_of
+from ..meshes import keys_of, mesh_of
 from ..muting import Silenced
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..shared_actions import make_actions_own
@@ -62,7 +64,7 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
 
 
 def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
-    mesh = obj.data
+    mesh = mesh_of(obj)
     if new and (mesh.library is not None or mesh.override_library is not None):
         raise HeadError(
             f"The mesh of {obj.name} is linked from another file, so shape keys cannot be added. "
@@ -77,7 +79,7 @@ def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
         )
 
 
-def check_range(take: Take, frames: NDArray[np.floating]) -> None:
+def check_range(take: Take, frames: NDArray[np.floating[Any]]) -> None:
     """Check that a take fits into Blender's timeline.
 
     Parameters
@@ -103,7 +105,7 @@ def bake_pose(
     obj: bpy.types.Object,
     targets: Targets,
     motion: HeadMotion,
-    frames: NDArray[np.floating],
+    frames: NDArray[np.floating[Any]],
     *,
     rotation: bool = True,
     translation: bool = False,
@@ -158,14 +160,14 @@ def bake_pose(
     for child in filter(has_tongue, obj.children):
         curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
         name = f"{child.name} Expression"
-        silenced += write_curves(child.data.shape_keys, name, frames, [curve], nla=nla, add=keep, leave_drivers=keep)
+        silenced += write_curves(keys_of(child), name, frames, [curve], nla=nla, add=keep, leave_drivers=keep)
     return silenced
 
 
 def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
     """Return all data-blocks that a bake or a session of a head may animate. Parameters are as for `check_bakeable`."""
-    keys = [member.obj.data.shape_keys for member in members_of(obj)]
-    keys += [child.data.shape_keys for child in filter(has_tongue, obj.children)]
+    keys = [mesh_of(member.obj).shape_keys for member in members_of(obj)]
+    keys += [mesh_of(child).shape_keys for child in filter(has_tongue, obj.children)]
     owners = [*(target.obj for target in _all_targets(obj, targets)), *filter(None, keys)]
     return list(dict.fromkeys(owners))
 
@@ -215,8 +217,8 @@ def has_tongue(part: bpy.types.Object) -> bool:
     return (
         part.get(PART_PROPERTY) == "tongue"
         and part.type == "MESH"
-        and part.data.shape_keys is not None
-        and TONGUE_KEY in part.data.shape_keys.key_blocks
+        and mesh_of(part).shape_keys is not None
+        and TONGUE_KEY in keys_of(part).key_blocks
     )
 
 
@@ -231,4 +233,4 @@ def show_tongue(part: bpy.types.Object, amount: float) -> None:
         0 to 1.
     """
     if has_tongue(part):
-        part.data.shape_keys.key_blocks[TONGUE_KEY].value = amount
+        keys_of(part).key_blocks[TONGUE_KEY].value = amount

@@ -6,6 +6,7 @@ import contextlib
 import shutil
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import bpy
 import numpy as np
@@ -18,6 +19,7 @@ from ...core.files.writing import replacing
 from ..characters import Member
 from ..frames import to_blender
 from ..media.rendering import quiet
+from ..meshes import mesh_of
 from .exporting import selected_for_export
 from .standing import standing_vertices
 
@@ -26,7 +28,7 @@ _ALEMBIC_BYTES = 24
 """Maximum size of a vertex in a frame: its position and normal."""
 
 
-def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
+def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np.floating[Any]], path: Path) -> None:
     """Write every whole frame of a motion to a point cache for each mesh, and add Mesh Cache modifiers that play them.
 
     A modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys.
@@ -64,18 +66,19 @@ def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
     return path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
 
 
-def _bake_mesh(member: Member, motion: HeadMotion, frames: NDArray[np.floating], path: Path) -> None:
+def _bake_mesh(member: Member, motion: HeadMotion, frames: NDArray[np.floating[Any]], path: Path) -> None:
     obj = member.obj
     rest = to_blender(standing_vertices(obj))
     first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
 
-    def samples() -> Iterator[NDArray[np.floating]]:
+    def samples() -> Iterator[NDArray[np.floating[Any]]]:
         for frame in range(first, last + 1):
             yield rest + member.local_offsets(in_between(frames, motion.vertices, frame))
 
     write_point_cache(path, samples(), len(rest), first)
     modifier = obj.modifiers.get(MODIFIER) or obj.modifiers.new(MODIFIER, "MESH_CACHE")
     obj.modifiers.move(obj.modifiers.find(MODIFIER), 0)
+    assert isinstance(modifier, bpy.types.MeshCacheModifier)
     modifier.cache_format = "PC2"
     modifier.filepath = bpy.path.relpath(str(path.resolve())) if bpy.data.filepath else str(path.resolve())
     modifier.frame_start = first
@@ -94,7 +97,7 @@ def caches_beside(path: Path) -> Iterator[None]:
     modifiers = [
         modifier
         for obj in bpy.data.objects
-        if (modifier := obj.modifiers.get(MODIFIER)) is not None
+        if isinstance(modifier := obj.modifiers.get(MODIFIER), bpy.types.MeshCacheModifier)
         and Path(bpy.path.abspath(modifier.filepath)).parent == path.resolve().parent
     ]
     before = [modifier.filepath for modifier in modifiers]
@@ -126,7 +129,7 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
     """
     if not getattr(bpy.app.build_options, "alembic", False):
         raise OutputError("This Blender was built without Alembic. Bake to a mesh cache instead.")
-    vertices = sum(len(part.data.vertices) for part in objects if part.type == "MESH")
+    vertices = sum(len(mesh_of(part).vertices) for part in objects if part.type == "MESH")
     needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
     if shutil.disk_usage(path.parent).free < needed:  # Blender crashes when the disk is full
         raise OutputError(f"Cannot write {path}: up to {needed / 1e6:.0f} MB are needed. Free some disk space.")

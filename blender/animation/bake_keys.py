@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -14,7 +15,7 @@ from ...core.bake.key_map import ESSENTIAL, best_preset
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, members_of
-from ..meshes import group_weights, key_names, key_offsets, key_points
+from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of
 from ..muting import Silenced
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 from .key_drivers import family_keys, following_paths
@@ -61,7 +62,7 @@ def moving_key_names(members: Sequence[Member]) -> list[str]:
     names: dict[str, None] = {}
     for obj in (member.obj for member in members):
         for name in key_names(obj):
-            block = obj.data.shape_keys.key_blocks[name]
+            block = keys_of(obj).key_blocks[name]
             if not np.array_equal(key_points(block), key_points(block.relative_key)):
                 names[name] = None
     return list(names)
@@ -95,10 +96,10 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
     """
     blocks: dict[str, list[tuple[Member, bpy.types.ShapeKey]]] = {}
     head = members[0].obj
-    muted = {name for name in key_names(head) if head.data.shape_keys.key_blocks[name].mute}
+    muted = {name for name in key_names(head) if keys_of(head).key_blocks[name].mute}
     for member in members:
         for name in key_names(member.obj):
-            block = member.obj.data.shape_keys.key_blocks[name]
+            block = keys_of(member.obj).key_blocks[name]
             if not block.mute and name not in muted:
                 require_relative(member.obj)
                 blocks.setdefault(name, []).append((member, block))
@@ -107,7 +108,7 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
     blocks = {
         name: found
         for name, found in blocks.items()
-        if any(value_path(name) not in following[member.obj.data.shape_keys] for member, _ in found)
+        if any(value_path(name) not in following[keys_of(member.obj)] for member, _ in found)
     }
     if not blocks:
         raise HeadError(
@@ -128,7 +129,7 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
 
 def require_relative(obj: bpy.types.Object) -> None:
     """Raise HeadError if the shape keys of `obj` are absolute and therefore have no values."""
-    keys = obj.data.shape_keys
+    keys = mesh_of(obj).shape_keys
     if keys is not None and not keys.use_relative:
         raise HeadError(f"The shape keys of {obj.name} are absolute. Enable Relative, or bake to a cache.")
 
@@ -141,7 +142,7 @@ def value_path(name: str) -> str:
 def bake_new_keys(
     members: Sequence[Member],
     basis: MotionBasis,
-    frames: NDArray[np.floating],
+    frames: NDArray[np.floating[Any]],
     *,
     clean: float = 0.0,
     nla: bool = False,
@@ -158,9 +159,9 @@ def bake_new_keys(
     """
     names = [f"{BAKED_KEY_PREFIX}{i + 1:02d}" for i in range(len(basis.modes))]
     for obj, offsets in ((member.obj, member.local_offsets(basis.modes)) for member in members):
-        if obj.data.shape_keys is None:
+        if mesh_of(obj).shape_keys is None:
             obj.shape_key_add(name="Basis", from_mix=False)
-        rest = key_points(obj.data.shape_keys.reference_key)
+        rest = key_points(keys_of(obj).reference_key)
         for name, mode in zip(names, offsets, strict=True):
             key = obj.shape_key_add(name=name, from_mix=False)
             key.points.foreach_set("co", (rest + mode).reshape(-1))
@@ -172,9 +173,9 @@ def bake_new_keys(
 
 def bake_values(
     members: Sequence[Member],
-    values: Mapping[str, NDArray[np.floating]],
-    frames: NDArray[np.floating],
-    offsets: NDArray[np.floating],
+    values: Mapping[str, NDArray[np.floating[Any]]],
+    frames: NDArray[np.floating[Any]],
+    offsets: NDArray[np.floating[Any]],
     *,
     clean: float = 0.0,
     nla: bool = False,
@@ -210,7 +211,7 @@ def bake_values(
         curves[name] = Curve(value_path(name), 0, curve, tolerance)
     silenced, family = [], family_keys(members)
     for obj in (member.obj for member in members):
-        if (keys := obj.data.shape_keys) is not None:
+        if (keys := mesh_of(obj).shape_keys) is not None:
             obj.show_only_shape_key = False
             following = following_paths(keys, family)
             own = [
@@ -223,7 +224,7 @@ def bake_values(
 
 def remove_baked_keys(obj: bpy.types.Object) -> None:
     """Remove the shape keys and curves of an earlier bake; existing keys that it animated return to 0."""
-    keys = obj.data.shape_keys
+    keys = mesh_of(obj).shape_keys
     if keys is None:
         return
     for path in remove_bake(keys):

@@ -10,6 +10,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import HeadError
+from ..meshes import mesh_of
 
 _JOINT = "|"
 """Separates the object, the take and the layer in the names of actions that the FBX importer makes."""
@@ -40,7 +41,8 @@ class Clip:
 def owners_of(objects: Iterable[bpy.types.Object]) -> list[bpy.types.ID]:
     """Return the data-blocks that an animation of `objects` may move: themselves, and their shape keys."""
     objects = list(objects)
-    keys = {obj.data.shape_keys for obj in objects if obj.type == "MESH" and obj.data.shape_keys is not None}
+    meshes = [mesh_of(obj) for obj in objects if obj.type == "MESH"]
+    keys = {mesh.shape_keys for mesh in meshes if mesh.shape_keys is not None}
     return [*objects, *sorted(keys, key=lambda key: key.name)]
 
 
@@ -59,7 +61,9 @@ def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
             continue
         active = data.action
         for track in data.nla_tracks:
-            for strip in (strip for strip in track.strips if strip.action is not None):
+            for strip in track.strips:
+                if strip.action is None:
+                    continue
                 clip = clips.setdefault(track.name, Clip())
                 clip.actions[owner] = strip.action, _handle(strip)
                 clip.plays |= strip.action == active if active is not None else not (track.mute or strip.mute)

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...core.errors import OutputError
 from ..collections import revealed, set_for_now
-from ..meshes import key_points
+from ..meshes import key_points, keys_of, mesh_of
 from ..muting import mute_for_now
 from .bake_keys import scaled_offsets, value_path
 
@@ -63,10 +63,10 @@ def keys_as_shown(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     ----------
     objects : sequence of bpy.types.Object
     """
-    meshes = {obj.data: obj for obj in objects if obj.type == "MESH" and obj.data.shape_keys is not None}
+    meshes = {mesh_of(obj): obj for obj in objects if obj.type == "MESH" and mesh_of(obj).shape_keys is not None}
     with ExitStack() as stack:
         for obj in meshes.values():
-            keys = obj.data.shape_keys
+            keys = keys_of(obj)
             if keys.use_relative and keys.library is None:
                 _show_muted(stack, keys)
                 _write_offsets(stack, obj)
@@ -84,7 +84,7 @@ def _show_muted(stack: ExitStack, keys: bpy.types.Key) -> None:
 
 def _write_offsets(stack: ExitStack, obj: bpy.types.Object) -> None:
     """Put vertex groups and relative keys into the points of keys that have them."""
-    keys = obj.data.shape_keys
+    keys = keys_of(obj)
     basis = keys.reference_key
     limited = [
         key
@@ -99,5 +99,5 @@ def _write_offsets(stack: ExitStack, obj: bpy.types.Object) -> None:
         set_for_now(stack, key, "vertex_group", "")
         set_for_now(stack, key, "relative_key", basis)
     if limited:
-        stack.callback(obj.data.update_tag)
-        obj.data.update_tag()
+        stack.callback(mesh_of(obj).update_tag)
+        mesh_of(obj).update_tag()

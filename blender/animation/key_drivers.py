@@ -7,6 +7,7 @@ from collections.abc import Collection, Sequence
 import bpy
 
 from ..characters import Member
+from ..meshes import mesh_of
 from ..muting import keyed_paths
 
 _KEY_BLOCKS = "key_blocks["
@@ -15,7 +16,7 @@ _KEY_BLOCKS = "key_blocks["
 
 def family_keys(members: Sequence[Member]) -> set[bpy.types.Key]:
     """Return the data-blocks of the shape keys of a head."""
-    return {keys for member in members if (keys := member.obj.data.shape_keys) is not None}
+    return {keys for member in members if (keys := mesh_of(member.obj).shape_keys) is not None}
 
 
 def following_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> set[str]:
@@ -55,7 +56,8 @@ def _reads(driver: bpy.types.FCurve, family: Collection[bpy.types.Key]) -> bool:
 
 
 def _targets(driver: bpy.types.FCurve) -> list[bpy.types.DriverTarget]:
-    return [target for variable in driver.driver.variables for target in variable.targets]
+    variables = () if driver.driver is None else driver.driver.variables
+    return [target for variable in variables for target in variable.targets]
 
 
 def _keys_of(block: bpy.types.ID | None) -> bpy.types.Key | None:

@@ -14,7 +14,7 @@ from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError
 from ..characters import Member, members_of
 from ..contexts import scene_of
-from ..meshes import exists
+from ..meshes import exists, keys_of, mesh_of
 from ..names import PART_PROPERTY
 from ..own_pose import move_own
 from ..shared_actions import make_actions_own
@@ -93,7 +93,7 @@ class LiveHeadObject:
     @property
     def vertices(self) -> int:
         """Vertex count of all its meshes at the start of the session."""
-        return self._meshes[-1].member.part.stop
+        return int(self._meshes[-1].member.part.stop)
 
     @property
     def prepare(self) -> Callable[[HeadFrame], FlatMeshes]:
@@ -151,16 +151,16 @@ class LiveHeadObject:
         move_own(target.obj, values_aside(target.obj, _DELTAS, frame))
 
     def _values_of(self, obj: bpy.types.Object) -> LiveValues | None:
-        if obj.data.shape_keys is None:
+        if (keys := mesh_of(obj).shape_keys) is None:
             return None
         family = family_keys([shown.member for shown in self._living_meshes()])
-        return LiveValues(obj.data, self.keys, following_paths(obj.data.shape_keys, family))
+        return LiveValues(keys, self.keys, following_paths(keys, family))
 
     def _owners(self) -> list[bpy.types.ID]:
         """Return the data-blocks whose animation is set aside: of the pose, and of the tongue."""
         parts = [child for child, _ in self._living_parts()]
         posed = [target.obj for target in (*self._carried, *self.targets.values()) if target.exists]
-        tongues = [tongue.data.shape_keys for tongue in filter(has_tongue, parts)]
+        tongues = [keys_of(tongue) for tongue in filter(has_tongue, parts)]
         return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues]))
 
     def drive_by(self, keys: tuple[str, ...]) -> None:

@@ -17,11 +17,11 @@ from ...core.errors import HeadError
 from ..actions import baked_paths
 from ..characters import Member
 from ..frames import flat_in_blender
-from ..meshes import exists, mesh_of, read_vertices, write_vertices
-from ..names import LIVE_PROPERTY, VALUES_PROPERTY
+from ..meshes import exists, keys_of, mesh_of, read_vertices, write_vertices
+from ..names import BAKED_KEY_PREFIX, LIVE_PROPERTY, VALUES_PROPERTY
 from ..own_pose import release_live
 from .aside import display_of, keys, restore, restore_all, set_aside
-from .bake_keys import BAKED_KEY_PREFIX, require_relative, value_path
+from .bake_keys import require_relative, value_path
 from .live_values import LiveValues, clear_values
 
 LIVE_KEY = "Facemime Live"
@@ -51,12 +51,12 @@ class LiveMesh:
                 "Make it local: Object > Relations > Make Local."
             )
         require_relative(self.obj)
-        self._name = self.obj.name
-        self.mesh = mesh
-        self._count = len(mesh.vertices)
+        self._name: str = self.obj.name
+        self.mesh: bpy.types.Mesh = mesh
+        self._count: int = len(mesh.vertices)
         self._rest: NDArray[np.float32] | None = None
         self._values: LiveValues | None = None
-        self._shown = False
+        self._shown: bool = False
 
     @property
     def gone(self) -> bool:
@@ -149,8 +149,8 @@ class LiveMesh:
     @property
     def left_in_file(self) -> bool:
         """Whether the open file has the mesh as a session displays it, as after undoing a step of the session."""
-        own = None if self.gone else self.obj.data.shape_keys
-        return not self.gone and (LIVE_PROPERTY in self.obj.data or (own is not None and VALUES_PROPERTY in own))
+        own = None if self.gone else mesh_of(self.obj).shape_keys
+        return not self.gone and (LIVE_PROPERTY in mesh_of(self.obj) or (own is not None and VALUES_PROPERTY in own))
 
     def require_same(self) -> None:
         """Raise HeadError if the mesh was replaced, or changed so that it can no longer be driven."""
@@ -162,7 +162,9 @@ class LiveMesh:
 
     def _key(self) -> bpy.types.ShapeKey:
         """Return the live shape key, which is added again if the user deleted it."""
-        key = self.mesh.shape_keys.key_blocks.get(LIVE_KEY)
+        own = self.mesh.shape_keys
+        assert own is not None, "require_same checks it"
+        key = own.key_blocks.get(LIVE_KEY)
         if key is None:
             key = self.obj.shape_key_add(name=LIVE_KEY, from_mix=False)
             key.value = 1.0
@@ -194,16 +196,16 @@ def clear_live(
         Whether the data-block of shape keys that was created for the session was removed.
     """
     keys, made = mesh.shape_keys, mesh.get(LIVE_PROPERTY) == _MADE_KEYS
-    lost = _basis_lost(mesh) and rest is not None
-    if lost:
-        keys.reference_key.points.foreach_set("co", flat_in_blender(rest))
+    lost_rest = rest if _basis_lost(mesh) else None
+    if lost_rest is not None and keys is not None:
+        keys.reference_key.points.foreach_set("co", flat_in_blender(lost_rest))
     with _object_of(mesh, obj) as holder:
         if keys is not None and LIVE_KEY in keys.key_blocks and (blocks or len(keys.key_blocks) > 1):
             _remove(holder, keys.key_blocks[LIVE_KEY])
         if blocks and made and mesh.shape_keys is not None and len(mesh.shape_keys.key_blocks) == 1:
             holder.shape_key_clear()
-    if lost and mesh.shape_keys is None and not mesh.is_editmode:
-        write_vertices(mesh, rest)
+    if lost_rest is not None and mesh.shape_keys is None and not mesh.is_editmode:
+        write_vertices(mesh, lost_rest)
     if blocks or not made:
         mesh.pop(LIVE_PROPERTY, None)
     mesh.update_tag()
@@ -248,7 +250,7 @@ def _remove(obj: bpy.types.Object, key: bpy.types.ShapeKey) -> None:
     name = None if active is None or active == key else active.name
     obj.shape_key_remove(key)
     if name is not None:
-        obj.active_shape_key_index = obj.data.shape_keys.key_blocks.find(name)
+        obj.active_shape_key_index = keys_of(obj).key_blocks.find(name)
 
 
 @contextlib.contextmanager

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ..meshes import exists
 from ..names import VALUES_PROPERTY
@@ -31,8 +33,8 @@ class LiveValues:
         Data paths of values with drivers that follow keys of the head, which are left alone.
     """
 
-    def __init__(self, mesh: bpy.types.Mesh, names: Sequence[str], following: set[str]) -> None:
-        self._keys = mesh.shape_keys
+    def __init__(self, keys: bpy.types.Key, names: Sequence[str], following: set[str]) -> None:
+        self._keys = keys
         blocks = self._keys.key_blocks
         self._places = {
             blocks.find(name): number
@@ -48,7 +50,7 @@ class LiveValues:
             self._keys[VALUES_PROPERTY] = json.dumps({name: blocks[name].value for name in self._names})
         set_aside(self._keys, moving(self._keys, [value_path(name) for name in self._names]))
 
-    def write(self, values: np.ndarray) -> None:
+    def write(self, values: NDArray[Any]) -> None:
         """Set the values, (K,) in the order of the names."""
         blocks = self._keys.key_blocks
         every = np.empty(len(blocks), dtype=np.float32)

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import bpy
 
+from ..armatures import armature_data
 from .targets import PoseTarget
 
 _ROTATIONS = {"COPY_ROTATION", "COPY_TRANSFORMS", "TRACK_TO", "DAMPED_TRACK", "LOCKED_TRACK", "LIMIT_ROTATION", "IK"}
@@ -58,7 +59,7 @@ def unseen(heads: Iterable[bpy.types.Object]) -> list[str]:
 
 
 def _rests(armature: bpy.types.Object) -> bool:
-    return bool(armature.data.pose_position == "REST")
+    return bool(armature_data(armature).pose_position == "REST")
 
 
 def _overrules(constraint: bpy.types.Constraint) -> bool:

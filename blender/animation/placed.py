@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import bpy
 import numpy as np
@@ -20,7 +21,7 @@ _CHANNELS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")
 
 
 def placements(
-    scene: bpy.types.Scene, targets: Sequence[PoseTarget], frames: NDArray[np.floating], *, keep: bool
+    scene: bpy.types.Scene, targets: Sequence[PoseTarget], frames: NDArray[np.floating[Any]], *, keep: bool
 ) -> list[Placement]:
     """Return where the user's animation places some targets in some frames.
 
@@ -66,7 +67,7 @@ def _is_added_by_angle(target: PoseTarget) -> bool:
     return rotation_channel(target.owner) == "rotation_euler" and path in keyed_paths(target.obj)
 
 
-def keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, frames: NDArray[np.floating]) -> None:
+def keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, frames: NDArray[np.floating[Any]]) -> None:
     """Animate the quaternion of a posed object as its user animates its axis and angle.
 
     Blender has no delta rotation by axis and angle, so that such an object is posed as one with a quaternion. The
@@ -94,6 +95,6 @@ def _span(scene: bpy.types.Scene, obj: bpy.types.Object, frames: FloatArray) -> 
     data = obj.animation_data
     ends = [scene.frame_start, scene.frame_end, frames[0], frames[-1]]
     if data is not None and data.action is not None:
-        ends += tuple(data.action.frame_range)
+        ends += data.action.frame_range[:]
     ends += [end for strip in strips_of(obj) for end in (strip.frame_start, strip.frame_end)]
     return int(np.floor(min(ends))), int(np.ceil(max(ends))) + 1

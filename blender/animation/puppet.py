@@ -155,7 +155,7 @@ def puppet_head(
     if not bake.keep_animation and not bake.writes_cache:
         silenced += mute_disturbing(obj, motion)
     fit_range(scene, whole, bake.start, asked=bake.fit_range)
-    if bake.keys == "alembic":
+    if bake.keys == "alembic" and bake.path is not None:
         with holding_take(scene, whole):
             parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
@@ -349,8 +349,12 @@ def _values_plan(
     unit: float,
     bake: BakeSettings,
 ) -> _Plan:
-    how = {"clean": bake.clean * unit, "nla": bake.nla, "keep": bake.keep_animation}
-    return _Plan(len(values), error, lambda: bake_values(members_of(obj), values, frames, keys.offsets, **how))
+    def write() -> list[Silenced]:
+        clean = bake.clean * unit
+        members = members_of(obj)
+        return bake_values(members, values, frames, keys.offsets, clean=clean, nla=bake.nla, keep=bake.keep_animation)
+
+    return _Plan(len(values), error, write)
 
 
 def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
 import numpy as np
@@ -21,7 +22,7 @@ from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix
 from ..collections import revealed
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import exists, eye_vertices, key_names, read_landmarks, read_regions, read_vertices
+from ..meshes import exists, eye_vertices, key_names, mesh_of, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
 from ..timeline import frame_range, rate_of
 from .animated_keys import AnimatedKeys
@@ -71,7 +72,7 @@ class Sampling:
         self._tracker: PointTracker | None = None
         self._moves = False
 
-    def __iter__(self) -> Iterator[int]:
+    def __iter__(self) -> Generator[int, None, None]:
         """Sample a frame at each step, and yield how many are done.
 
         Raises
@@ -124,13 +125,13 @@ class _Face:
     """The vertices of a face that determine its expression, pose and gaze."""
 
     def __init__(self, head: bpy.types.Object) -> None:
-        vertices, landmarks = read_vertices(head.data).astype(np.float64), read_landmarks(head)
+        vertices, landmarks = read_vertices(mesh_of(head)).astype(np.float64), read_landmarks(head)
         points = vertices[landmarks]
         self.pivot = neck_of(points)
         middle, reach = points[EYE_CORNERS].mean(axis=0), _REACH * outer_eye_distance(points)
         # The skull and the brow, which no mouth moves, nor the bones of a body.
         near = (np.linalg.norm(vertices - middle, axis=1) < reach) & (vertices[:, 1] < points[_NOSE_BASE, 1])
-        anchors = np.flatnonzero(near & (read_kinds(head.data) == Part.SKIN))
+        anchors = np.flatnonzero(near & (read_kinds(mesh_of(head)) == Part.SKIN))
         chosen = np.linspace(0, len(anchors) - 1, min(_MAX_ANCHORS, len(anchors))).astype(np.intp)
         self._skin = np.concatenate([landmarks, anchors[np.unique(chosen)]])
         self.trust = 1.0 - read_regions(head)[LOWER, self._skin[N_LANDMARKS:]].astype(np.float64)
@@ -166,10 +167,10 @@ class _Face:
     def _points(self, read: Callable[[bpy.types.Object], tuple[FloatArray, FloatArray]]) -> FacePoints:
         known = {obj: read(obj) for obj in self.objects}
 
-        def places(obj: bpy.types.Object, chosen: NDArray[np.integer]) -> FloatArray:
+        def places(obj: bpy.types.Object, chosen: NDArray[np.integer[Any]]) -> FloatArray:
             vertices, matrix = known[obj]
             world = to_blender(vertices[chosen]) @ matrix[:3, :3].T + matrix[:3, 3]
-            return world @ self._from_scene[:, :3].T + self._from_scene[:, 3]
+            return np.asarray(world @ self._from_scene[:, :3].T + self._from_scene[:, 3])
 
         skin = places(self._head, self._skin)
         right, left = (
@@ -181,13 +182,13 @@ class _Face:
 def _eye(head: bpy.types.Object, part: Part, points: FloatArray) -> list[tuple[bpy.types.Object, NDArray[np.intp]]]:
     """Return the meshes that contain an eye of a head, and its vertices in them."""
     children = [child for child in head.children if child.get(PART_PROPERTY) == _EYES[part] and child.type == "MESH"]
-    found = [(child, np.arange(len(child.data.vertices))) for child in children]
+    found = [(child, np.arange(len(mesh_of(child).vertices))) for child in children]
     for obj in (head, *objects_of(head)):
-        if len(own := np.flatnonzero(read_kinds(obj.data) == part)):
+        if len(own := np.flatnonzero(read_kinds(mesh_of(obj)) == part)):
             found.append((obj, own))
     cut = eye_vertices(head)
     across = points[EYE_CORNERS[3]] - points[EYE_CORNERS[0]]
-    side = (read_vertices(head.data)[cut] - points[EYE_CORNERS].mean(axis=0)) @ across
+    side = (read_vertices(mesh_of(head))[cut] - points[EYE_CORNERS].mean(axis=0)) @ across
     own = cut[side > 0.0 if part == Part.EYE_LEFT else side <= 0.0]
     return [*found, (head, own)] if len(own) else found
 
@@ -195,10 +196,10 @@ def _eye(head: bpy.types.Object, part: Part, points: FloatArray) -> list[tuple[b
 def _evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[FloatArray, FloatArray]:
     """Return the vertices of an object after its modifiers, head frame, and its (4, 4) transform."""
     final = obj.evaluated_get(depsgraph)
-    if len(final.data.vertices) != len(obj.data.vertices):
+    if len(mesh_of(final).vertices) != len(mesh_of(obj).vertices):
         raise HeadError(f"Modifiers of {obj.name} change the number of its vertices. Hide or apply them.")
-    flat = np.empty(3 * len(final.data.vertices), dtype=np.float32)
-    final.data.vertices.foreach_get("co", flat)
+    flat = np.empty(3 * len(mesh_of(final).vertices), dtype=np.float32)
+    mesh_of(final).vertices.foreach_get("co", flat)
     return from_blender(flat.reshape(-1, 3)).astype(np.float64), np.array(final.matrix_world)
 
 

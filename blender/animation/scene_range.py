@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import bpy
 import numpy as np
@@ -34,7 +35,7 @@ def start_frame(scene: bpy.types.Scene, choice: str) -> float:
     return keyed_frame(scene, shown.get(choice, 1))
 
 
-def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating], choice: str, *, asked: bool = False) -> None:
+def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]], choice: str, *, asked: bool = False) -> None:
     """Set the frame range of a scene to that of a take, if it is free or this was asked for.
 
     Parameters
@@ -56,7 +57,7 @@ def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating], choice: str,
     scene[RANGE_PROPERTY] = [scene.frame_start, scene.frame_end]
 
 
-def outside_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> str:
+def outside_range(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]]) -> str:
     """Return a warning if a take is not all in the frame range of a scene, and otherwise an empty text."""
     first, last = _ends(scene, frames)
     start, end = scene.frame_start, scene.frame_end
@@ -70,7 +71,7 @@ def outside_range(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> str:
 
 
 @contextmanager
-def holding_take(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> Iterator[None]:
+def holding_take(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]]) -> Iterator[None]:
     """Extend the frame range of a scene for a while, if it does not contain all of a take, to that or to the take."""
     before = scene.frame_start, scene.frame_end
     if outside_range(scene, frames):
@@ -84,7 +85,7 @@ def holding_take(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> Iterat
         scene.frame_start, scene.frame_end = before
 
 
-def _ends(scene: bpy.types.Scene, frames: NDArray[np.floating]) -> tuple[int, int]:
+def _ends(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]]) -> tuple[int, int]:
     """Return the first and the last frame of a scene in which keyframes at `frames` play."""
     shown = shown_frames(scene, frames)
     return int(np.floor(shown[0] + 1e-3)), int(np.ceil(shown[-1] - 1e-3))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..characters import head_of, members_of
 from ..frames import from_blender
-from ..meshes import key_names, read_vertices
+from ..meshes import key_names, mesh_of, read_vertices
 from ..muting import varying_paths
 from .bake_keys import scaled_offsets, value_path
 from .key_drivers import family_keys, moved_paths
@@ -30,7 +30,7 @@ def standing_vertices(obj: bpy.types.Object, without: Collection[str] = ()) -> N
     without : collection of str
         Names of keys that do not count.
     """
-    vertices, keys = read_vertices(obj.data), obj.data.shape_keys
+    vertices, keys = read_vertices(mesh_of(obj)), mesh_of(obj).shape_keys
     if keys is None or not keys.use_relative:
         return vertices
     moving = varying_paths(keys) | moved_paths(keys, family_keys(members_of(head_of(obj))) | {keys})

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import pi
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
@@ -22,6 +22,7 @@ from ...core.errors import HeadError
 from ...core.face.landmarks import EYE_CORNERS
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
+from ..armatures import posed_bones, rest_bones
 from ..characters import (
     objects_of,
     own_rotation,
@@ -33,7 +34,7 @@ from ..characters import (
     rest_rotation,
 )
 from ..frames import rotation_to_blender, to_blender
-from ..meshes import exists, read_places, read_vertices
+from ..meshes import exists, mesh_of, read_places, read_vertices
 from ..names import PIVOT_PROPERTY
 from ..own_pose import (
     begin_live,
@@ -48,7 +49,7 @@ from ..own_pose import (
     write_rotation,
 )
 
-FloatArray = NDArray[np.floating]
+FloatArray = NDArray[np.floating[Any]]
 
 
 class Placement(NamedTuple):
@@ -112,7 +113,7 @@ class PoseTarget:
         """
         if obj.type == "ARMATURE" and not bone:
             raise HeadError(f"No bone of the armature {obj.name} is selected. Choose the bone that follows the pose.")
-        if obj.type == "ARMATURE" and bone not in obj.pose.bones:
+        if obj.type == "ARMATURE" and bone not in posed_bones(obj):
             raise HeadError(f"The armature {obj.name} has no bone {bone}. Choose one of its bones.")
         return cls(obj, bone if obj.type == "ARMATURE" else "", head)
 
@@ -126,7 +127,7 @@ class PoseTarget:
     @property
     def owner(self) -> bpy.types.Object | bpy.types.PoseBone:
         """The object or pose bone that is rotated."""
-        return self.obj.pose.bones[self.bone] if self.bone else self.obj
+        return posed_bones(self.obj)[self.bone] if self.bone else self.obj
 
     def turned(self, rotation: FloatArray, placed: FloatArray | None = None) -> FloatArray:
         """Convert (..., 3, 3) rotations from the head frame to the target's channels, without the user's own pose.
@@ -166,7 +167,9 @@ class PoseTarget:
         """
         owner = self.owner
         hold_own(owner)
-        if not self.bone and own_mode(owner) == "AXIS_ANGLE":  # its animation goes on in channels that are not shown
+        if (
+            isinstance(owner, bpy.types.Object) and own_mode(owner) == "AXIS_ANGLE"
+        ):  # its animation goes on in channels that are not shown
             owner.rotation_quaternion = own_rotation(owner).to_quaternion()
         if rotation is not None:
             write_rotation(owner, Matrix(self._added(self.turned(rotation)).tolist()))
@@ -237,9 +240,9 @@ class PoseTarget:
             values, offset = np.empty((len(matrices), 3)), Vector()
             for row, matrix, at in zip(values, matrices, placed, strict=True):
                 turned = matrix if added_to is None else at.to_matrix() @ matrix
-                near = Euler(Vector(at) + offset, owner.rotation_mode)
+                near = Euler((Vector(at[:]) + offset)[:], owner.rotation_mode)
                 row[:] = turned.to_euler(owner.rotation_mode, near)
-                offset = Vector(row) - Vector(at)
+                offset = Vector(row) - Vector(at[:])
             return self._curves(channel, values if added_to is None else values - added_to, tolerance)
         values = continuous_quaternions([matrix.to_quaternion() for matrix in matrices])
         return self._curves(channel, values if channel == "rotation_quaternion" else _axis_angles(values), tolerance)
@@ -274,7 +277,7 @@ class PoseTarget:
         head = self.head or self.obj
         mirrored = np.where(np.array(placed_scale(head)) < 0.0, -1.0, 1.0)
         if self.bone:
-            bone = np.array(self.obj.data.bones[self.bone].matrix_local.to_3x3().normalized())
+            bone = np.array(rest_bones(self.obj)[self.bone].matrix_local.to_3x3().normalized())
             return np.asarray((rest_rotation(self.obj) @ bone).T @ rest_rotation(head) * mirrored)
         if head == self.obj:
             own = np.array(own_rotation(self.obj)) if placed is None else placed
@@ -287,7 +290,7 @@ class PoseTarget:
         if self.bone:
             space = rest_matrix(self.obj)
         elif head == self.obj:
-            return np.abs(placed_scale(head))
+            return np.asarray(np.abs(np.array(placed_scale(head))))
         else:
             space = parent_matrix(self.obj)
         return np.full(3, rest_matrix(head).median_scale / max(space.median_scale, 1e-12))
@@ -312,7 +315,7 @@ def _axis_angles(quaternions: FloatArray) -> FloatArray:
         axis, angle = Quaternion(quaternion.tolist()).to_axis_angle()
         side = -1.0 if axis.dot(last) < 0.0 else 1.0
         last = side * axis
-        row[:] = (side * angle, *last)
+        row[:] = (side * angle, *last[:])
     return values
 
 
@@ -344,8 +347,8 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
 def _eye_strength(head: bpy.types.Object, target: PoseTarget, corners: IntArray) -> float:
     """Return the factor of the rotations of a bone that keeps the iris between the lids."""
     to_world = rest_matrix(head)
-    places = to_blender(read_vertices(head.data)[read_places(head)[corners]])
-    pivot = rest_matrix(target.obj) @ target.obj.data.bones[target.bone].head_local
+    places = to_blender(read_vertices(mesh_of(head))[read_places(head)[corners]])
+    pivot = rest_matrix(target.obj) @ rest_bones(target.obj)[target.bone].head_local
     return eye_strength(np.array(pivot), np.array([to_world @ Vector(place) for place in places.tolist()]))
 
 

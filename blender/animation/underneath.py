@@ -9,7 +9,7 @@ import numpy as np
 
 from ...core.drive.motion import HeadMotion
 from ..characters import Member, members_of, objects_of
-from ..meshes import key_names, key_offsets
+from ..meshes import key_names, key_offsets, keys_of, mesh_of
 from ..muting import Silenced, mute_others, mute_paths, others_playing
 from .bake_keys import value_path
 from .key_drivers import family_keys, moved_paths
@@ -45,7 +45,7 @@ def mute_disturbing(head: bpy.types.Object, motion: HeadMotion) -> list[Silenced
     members, silenced = members_of(head), []
     family = family_keys(members)
     for member in members:
-        if (keys := member.obj.data.shape_keys) is not None:
+        if (keys := mesh_of(member.obj).shape_keys) is not None:
             paths = _moving_the_same(member, motion)
             silenced += mute_others(keys, paths)
             silenced += mute_paths(keys, paths & moved_paths(keys, family), curves=False)
@@ -55,12 +55,12 @@ def mute_disturbing(head: bpy.types.Object, motion: HeadMotion) -> list[Silenced
 def _moving_the_same(member: Member, motion: HeadMotion) -> set[str]:
     """Return the data paths of the user's keys of a mesh that move vertices which a motion moves."""
     moved = np.abs(motion.vertices[:, member.part]).max(axis=(0, 2), initial=0.0) > _STILL
-    blocks = member.obj.data.shape_keys.key_blocks
+    blocks = keys_of(member.obj).key_blocks
     offsets = {name: np.abs(key_offsets(blocks[name])[moved]) for name in key_names(member.obj)}
     return {value_path(name) for name, of in offsets.items() if of.max(initial=0.0) > _STILL}
 
 
 def _shape_keys(head: bpy.types.Object) -> Iterator[bpy.types.Key]:
     for obj in (head, *objects_of(head)):
-        if obj.data.shape_keys is not None:
-            yield obj.data.shape_keys
+        if (keys := mesh_of(obj).shape_keys) is not None:
+            yield keys

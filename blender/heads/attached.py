@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..characters import parts_of
+from ..meshes import mesh_of
 from ..names import PART_PROPERTY, PARTS_PROPERTY
 
 _HIDDEN = "hide_render"
@@ -149,7 +150,10 @@ def _is_local(obj: bpy.types.Object) -> bool:
 def _follow(part: bpy.types.Object, head: bpy.types.Object) -> None:
     """Hide a part in renders while its head is hidden there, by a driver that runs no script."""
     part.driver_remove(_HIDDEN)
-    driver = part.driver_add(_HIDDEN).driver
+    curve = part.driver_add(_HIDDEN)
+    assert isinstance(curve, bpy.types.FCurve), "the property is not an array"
+    driver = curve.driver
+    assert driver is not None
     driver.type = "AVERAGE"
     target = driver.variables.new().targets[0]
     target.id, target.data_path = head, _HIDDEN
@@ -158,10 +162,11 @@ def _follow(part: bpy.types.Object, head: bpy.types.Object) -> None:
 def _followed(part: bpy.types.Object) -> Iterator[bpy.types.Object | None]:
     """Yield the head that the driver of a part refers to; None if it was deleted."""
     for curve in part.animation_data.drivers if part.animation_data is not None else ():
-        if curve.data_path == _HIDDEN and len(curve.driver.variables) == 1:
-            target = curve.driver.variables[0].targets[0]
+        driver = curve.driver
+        if curve.data_path == _HIDDEN and driver is not None and len(driver.variables) == 1:
+            target = driver.variables[0].targets[0]
             if target.data_path == _HIDDEN:
-                yield target.id
+                yield target.id if isinstance(target.id, bpy.types.Object) else None
 
 
 def _is_orphan(part: bpy.types.Object, placed: set[bpy.types.Object]) -> bool:
@@ -177,7 +182,7 @@ def _copy(part: bpy.types.Object, head: bpy.types.Object) -> bpy.types.Object:
     """Copy a part for a duplicate of its head; they share the mesh if the heads do."""
     other = part.copy()
     if part.parent is None or part.parent.data != head.data:
-        other.data = part.data.copy()
+        other.data = mesh_of(part).copy()
     if part.parent is not None and PARTS_PROPERTY in part.parent:
         other.parent = head
     _follow(other, head)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
+from typing import Any
 
 import bpy
 import numpy as np
@@ -27,6 +28,7 @@ from ..meshes import (
     eye_vertices,
     is_head,
     mesh_of,
+    object_of,
     read_landmarks,
     read_regions,
     read_vertices,
@@ -95,9 +97,10 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
         obj = bound[0]
     if driven_by_keys(obj):
         forget_parts(obj)
-        del obj.data[KEYS_PROPERTY]
+        del mesh_of(obj)[KEYS_PROPERTY]
     family = [member for member in (given, *family_of(obj)) if member.type == "MESH"]
-    known = [member for member in family if read_marks(member.data)] or [member for member in family if is_head(member)]
+    marked = [member for member in family if read_marks(mesh_of(member))]
+    known = marked or [member for member in family if is_head(member)]
     if known:
         return known[0], (yield from search_head(known[0]))
     failure: HeadError | None = None
@@ -123,7 +126,7 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     HeadError
         If no face is found, or the mesh would have to be rotated and `turn_mesh` cannot do this.
     """
-    mesh = mesh_of(obj)
+    mesh, obj = mesh_of(obj), object_of(obj)
     require_sound(obj)
     scene_axes = HEAD_TO_BLENDER.T @ np.array(obj.matrix_world.to_quaternion().to_matrix()) @ HEAD_TO_BLENDER
     others = read_kinds(mesh) != Part.SKIN if is_sorted(obj) else named_others(obj)
@@ -166,7 +169,7 @@ def _among_parts(
 
     Returns the binding and the vertex of each landmark, (66,). If no face is found this time, the parts are forgotten.
     """
-    mesh, landmarks = obj.data, skin.kept[binding.landmarks]
+    mesh, landmarks = mesh_of(obj), skin.kept[binding.landmarks]
     if not is_sorted(obj) and not any(PART_PROPERTY in child for child in obj.children):
         weights = propose_regions(read_vertices(mesh)[skin.kept], skin.faces, binding.landmarks)
         sort_character(obj, landmarks, weights, skin)
@@ -183,12 +186,12 @@ def _among_parts(
 
 
 def _with_lids(
-    head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating], marks: dict[int, int]
+    head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating[Any]], marks: dict[int, int]
 ) -> NDArray[np.intp]:
     """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them."""
-    skin = skin_of_object(head, read_kinds(head.data) != Part.SKIN, landmarks)
-    places = read_vertices(head.data)[skin.kept] @ rotation.T
-    improved = np.array(landmarks)
+    skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
+    places = read_vertices(mesh_of(head))[skin.kept] @ rotation.T
+    improved = np.array(landmarks, dtype=np.intp)
     for part, lids in zip((Part.EYE_RIGHT, Part.EYE_LEFT), EYES, strict=True):
         eye, faces = part_mesh(head, part)
         if len(faces) == 0 or set(lids.tolist()) & set(from_ibug(list(marks)).tolist()):
@@ -217,14 +220,14 @@ def proposed_weights(obj: bpy.types.Object, landmarks: IntArray) -> FloatArray:
     skin = current_skin(obj)
     weights = np.zeros((len(REGION_GROUPS), len(skin.number)))
     own = skin.number >= 0
-    known = propose_regions(read_vertices(obj.data)[skin.kept], skin.faces, skin.number[landmarks])
+    known = propose_regions(read_vertices(mesh_of(obj))[skin.kept], skin.faces, skin.number[landmarks])
     weights[:, own] = known[:, skin.number[own]]
     return weights
 
 
 def check_object(obj: bpy.types.Object | None) -> list[Finding]:
     """Check `obj` for problems; raises HeadError if it has no regions, or no landmarks on its skin."""
-    mesh = mesh_of(obj)
+    mesh, obj = mesh_of(obj), object_of(obj)
     landmarks, weights, skin = read_landmarks(obj), read_regions(obj), current_skin(obj)
     return check_head(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks], weights[:, skin.kept])
 
@@ -234,7 +237,7 @@ def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
 
     Only names are examined, which is fast enough for drawing a panel; `check_object` examines the mesh itself.
     """
-    mesh = obj.data
+    mesh = mesh_of(obj)
     if not can_be_driven(obj):
         return [("This mesh has no landmarks yet", "facemime.bind_landmarks")]
     if (bound_at := stored_integers(mesh, COUNT_PROPERTY)) is not None and not np.array_equal(
@@ -273,8 +276,8 @@ def write_marks(mesh: bpy.types.Mesh, marks: dict[int, int]) -> None:
 def selected_vertex(obj: bpy.types.Object) -> int:
     """Return the single vertex selected in Edit Mode; raises HeadError unless exactly one is selected."""
     obj.update_from_editmode()
-    selected = np.empty(len(obj.data.vertices), dtype=bool)
-    obj.data.vertices.foreach_get("select", selected)
+    selected = np.empty(len(mesh_of(obj).vertices), dtype=bool)
+    mesh_of(obj).vertices.foreach_get("select", selected)
     if selected.sum() != 1:
         raise HeadError(f"{int(selected.sum())} vertices are selected. Select a single one in Edit Mode.")
     return int(np.flatnonzero(selected)[0])
@@ -300,12 +303,12 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
     if len(taken) and taken[0] != landmark:
         raise VertexTakenError("Another landmark is bound to this vertex. Select a different vertex.")
     landmarks[landmark] = vertex
-    write_landmarks(obj.data, landmarks)
+    write_landmarks(mesh_of(obj), landmarks)
 
 
 def _bound(
-    vertices: NDArray[np.floating], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating]]
-) -> Work[tuple[Binding, NDArray[np.floating]]]:
+    vertices: NDArray[np.floating[Any]], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating[Any]]]
+) -> Work[tuple[Binding, NDArray[np.floating[Any]]]]:
     """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
     which a face is clearly visible, or otherwise the one along which the template was deformed least.
 
@@ -314,7 +317,7 @@ def _bound(
     HeadError
         If no face is found along any of them.
     """
-    found: list[tuple[Binding, NDArray[np.floating]]] = []
+    found: list[tuple[Binding, NDArray[np.floating[Any]]]] = []
     failure: HeadError | None = None
     marked = {landmark: int(skin.number[vertex]) for landmark, vertex in marks.items() if vertex < len(skin.number)}
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
@@ -334,8 +337,8 @@ def _bound(
     return min(found, key=lambda pair: pair[0].strain)
 
 
-def _is_small(rotation: NDArray[np.floating]) -> bool:
-    return float(np.trace(rotation) - 1.0) / 2.0 >= _UPRIGHT
+def _is_small(rotation: NDArray[np.floating[Any]]) -> bool:
+    return bool((np.trace(rotation) - 1.0) / 2.0 >= _UPRIGHT)
 
 
 def placements() -> dict[bpy.types.Object, Matrix]:
@@ -351,7 +354,7 @@ def turn_note(head: bpy.types.Object, before: Mapping[bpy.types.Object, Matrix])
     return f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same"
 
 
-def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
+def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> None:
     """Rotate the vertices of `obj`, and the object back, so that nothing moves in the scene.
 
     Parameters
@@ -370,7 +373,7 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
         raise HeadError(
             f"The vertices of {obj.name} come from a file, so they cannot be rotated to face -Y. Export it facing -Y."
         )
-    if obj.data.users > 1:
+    if mesh_of(obj).users > 1:
         raise HeadError(
             f"The mesh of {obj.name} has to be rotated to face -Y, but other objects share it. Make it single-user."
         )
@@ -380,7 +383,7 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating]) -> None:
             "constrained. Remove the animation or the constraint first."
         )
     turn = Matrix(rotation.tolist()).to_4x4()
-    obj.data.transform(turn, shape_keys=True)
+    mesh_of(obj).transform(turn, shape_keys=True)
     obj.matrix_world = obj.matrix_world @ turn.inverted()
     for child in obj.children:
         child.matrix_parent_inverse = turn @ child.matrix_parent_inverse

@@ -11,7 +11,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ..characters import read_kinds, write_kinds
-from ..meshes import read_weights, write_regions
+from ..meshes import mesh_of, read_weights, write_regions
 from ..names import MARKS_PROPERTY, REGION_GROUPS
 from .binding import turn_mesh
 
@@ -41,7 +41,9 @@ class FormerBinding:
 
     def __init__(self, context: bpy.types.Context) -> None:
         context.view_layer.update()
-        self._meshes = [_bound(obj) for obj in context.scene.objects if obj.type == "MESH" and obj.data.library is None]
+        self._meshes = [
+            _bound(obj) for obj in context.scene.objects if obj.type == "MESH" and mesh_of(obj).library is None
+        ]
         self._selected = [obj.name for obj in context.selected_objects]
         self._active = "" if context.active_object is None else context.active_object.name
 
@@ -49,7 +51,7 @@ class FormerBinding:
         """Restore the binding and the selection; marks that the user made since are kept."""
         for former in self._meshes:
             obj = context.scene.objects.get(former.name)
-            if obj is not None and obj.type == "MESH" and len(obj.data.vertices) == len(former.kinds):
+            if obj is not None and obj.type == "MESH" and len(mesh_of(obj).vertices) == len(former.kinds):
                 _restore(obj, former)
         for obj in context.view_layer.objects:
             obj.select_set(obj.name in self._selected)
@@ -59,7 +61,7 @@ class FormerBinding:
 def _bound(obj: bpy.types.Object) -> _Bound:
     regions = all(name in obj.vertex_groups for name in REGION_GROUPS)
     weights = read_weights(obj, slice(None)) if regions else None
-    return _Bound(obj.name, obj.matrix_world.copy(), _ours(obj), _ours(obj.data), read_kinds(obj.data), weights)
+    return _Bound(obj.name, obj.matrix_world.copy(), _ours(obj), _ours(mesh_of(obj)), read_kinds(mesh_of(obj)), weights)
 
 
 def _ours(owner: bpy.types.ID) -> dict[str, Any]:
@@ -72,15 +74,15 @@ def _ours(owner: bpy.types.ID) -> dict[str, Any]:
 
 
 def _restore(obj: bpy.types.Object, former: _Bound) -> None:
-    for owner, stored in ((obj, former.own), (obj.data, former.of_mesh)):
+    for owner, stored in ((obj, former.own), (mesh_of(obj), former.of_mesh)):
         for key in _ours(owner):
             del owner[key]
         for key, value in stored.items():
             owner[key] = value
-    write_kinds(obj.data, former.kinds)
-    turn = (former.matrix.inverted_safe() @ obj.matrix_world).to_quaternion().to_matrix()
+    write_kinds(mesh_of(obj), former.kinds)
+    turn = np.array((former.matrix.inverted_safe() @ obj.matrix_world).to_quaternion().to_matrix())
     if not np.allclose(turn, np.eye(3), atol=1e-5):
-        turn_mesh(obj, np.array(turn))
+        turn_mesh(obj, turn)
     if former.weights is not None:
         write_regions(obj, former.weights)
         return

@@ -10,7 +10,7 @@ from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
 from ...core.heads.parts import Part
 from ..characters import write_kinds
 from ..frames import to_blender
-from ..meshes import write_landmarks, write_regions
+from ..meshes import mesh_of, write_landmarks, write_regions
 from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
 from ..placement import select_alone
 from .attached import attach
@@ -53,7 +53,7 @@ def add_head(
     _subdivide_in_renders(skin)
     write_regions(skin, head.regions)
     parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
-    lashes = parts[PART_NAMES.index("lashes")].data
+    lashes = mesh_of(parts[PART_NAMES.index("lashes")])
     write_kinds(lashes, np.full(len(lashes.vertices), Part.ON_SKIN))
     attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
     if units:
@@ -98,6 +98,7 @@ def _mesh(
 def _subdivide_in_renders(obj: bpy.types.Object) -> None:
     """Add a subdivision for renders only: in the viewport it would take far longer than the rest of a live frame."""
     modifier = obj.modifiers.new("Subdivision", "SUBSURF")
+    assert isinstance(modifier, bpy.types.SubsurfModifier)
     modifier.levels, modifier.render_levels, modifier.show_viewport = 1, _RENDER_LEVELS, False
 
 
@@ -110,7 +111,7 @@ def _add_part(
     obj[PART_PROPERTY] = part.name
     collection.objects.link(obj)
     obj.parent = parent
-    obj.location = to_blender(part.pivot)
+    obj.location = to_blender(part.pivot).tolist()
     return obj
 
 

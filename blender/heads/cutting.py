@@ -14,7 +14,7 @@ from mathutils import Vector
 from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.parts import Skin
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..meshes import read_faces, read_landmarks, read_vertices, write_landmarks
+from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 
 _TAG = "facemime_line"
 
@@ -61,13 +61,13 @@ def close_seams(obj: bpy.types.Object, skin: Skin) -> None:
     if not len(doubled):
         return
     landmarks = read_landmarks(obj)
-    with edited(obj.data) as work:
+    with edited(mesh_of(obj)) as work:
         vertices = list(work.verts)
         bound = [vertices[vertex] for vertex in leader[landmarks].tolist()]
         bmesh.ops.weld_verts(work, targetmap={vertices[v]: vertices[leader[v]] for v in doubled.tolist()})
         work.verts.index_update()
-        landmarks = indices(bound)
-    write_landmarks(obj.data, landmarks)
+        moved = indices(bound)
+    write_landmarks(mesh_of(obj), moved)
 
 
 def split_along(
@@ -88,7 +88,8 @@ def split_along(
     list of list of bmesh.types.BMVert
         All copies of each vertex of the line.
     """
-    tag = work.verts.layers.int[_TAG]
+    tag = work.verts.layers.int.get(_TAG)
+    assert tag is not None
     for place, vertex in enumerate(line, start=1):
         vertex[tag] = place
     pairs = [*pairwise(line), (line[-1], line[0])] if closed else list(pairwise(line))

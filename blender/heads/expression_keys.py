@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import bpy
 import numpy as np
@@ -20,7 +21,7 @@ from ...core.keys.key_sets import KEY_SETS, KeySet
 from ...core.takes.take import Take
 from ..characters import members_of
 from ..frames import to_blender
-from ..meshes import mesh_of, read_vertices, require_own
+from ..meshes import keys_of, mesh_of, object_of, read_vertices, require_own
 from ..names import PART_PROPERTY
 from ..rigs import read_rig
 from ..work import Task, Work, do_at_once
@@ -95,6 +96,7 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
     HeadError
         If the object is not a head, a mesh is linked from another file, or its shape keys are absolute.
     """
+    obj = object_of(obj)
     mesh_of(obj)
     members = members_of(obj)
     moved = {member.obj for member in members}
@@ -102,8 +104,8 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
         child for child in obj.children if child.type == "MESH" and PART_PROPERTY in child and child not in moved
     ]
     for part in (*(member.obj for member in members), *attached):
-        require_own(part.data)
-        if (found := part.data.shape_keys) is not None and not found.use_relative:
+        require_own(mesh_of(part))
+        if (found := mesh_of(part).shape_keys) is not None and not found.use_relative:
             raise HeadError(f"The shape keys of {part.name} are absolute. Enable Relative first.")
     rig = read_rig(obj)
     shown = [take for take in takes if take.found.any()] if set(keys.names) <= set(COEFFICIENT_INDEX) else []
@@ -137,7 +139,7 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
 def _moving(meshes: Iterable[bpy.types.Object], names: Sequence[str], still: float) -> set[str]:
     """Names of the shape keys that move a vertex of some mesh by more than `still`, in its unit."""
     found = set()
-    for keys in (mesh.data.shape_keys for mesh in meshes if mesh.data.shape_keys is not None):
+    for keys in (keys_of(mesh) for mesh in meshes if mesh_of(mesh).shape_keys is not None):
         rest = _places(keys.reference_key)
         for name in names:
             key = keys.key_blocks.get(name)
@@ -152,14 +154,14 @@ def _places(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
     return out
 
 
-def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray, moving: Container[str]) -> list[str]:
+def _add(obj: bpy.types.Object, names: Sequence[str], offsets: NDArray[Any], moving: Container[str]) -> list[str]:
     """Add keys with displacements (K, V, 3) in the axes of the mesh, except for existing ones that are `moving`.
 
     Return the names of those that were added or filled.
     """
-    if obj.data.shape_keys is None:
+    if mesh_of(obj).shape_keys is None:
         obj.shape_key_add(name="Basis", from_mix=False)
-    keys = obj.data.shape_keys
+    keys = keys_of(obj)
     rest = _places(keys.reference_key)
     written = [
         (name, row)
@@ -177,7 +179,7 @@ def _add(obj: bpy.types.Object, names: Sequence[str], offsets: np.ndarray, movin
 
 def _part_of(obj: bpy.types.Object) -> HeadPart | None:
     """The part that an object was made of; None if it was changed into something else."""
-    rest = read_vertices(obj.data)
+    rest = read_vertices(mesh_of(obj))
     parts = [part for file in (HEAD_FILE, WOMAN_FILE) for part in load_head(file).parts]
     alike = [part for part in parts if part.name == obj[PART_PROPERTY] and len(part.vertices) == len(rest)]
     return min(alike, key=lambda part: float(np.ptp(part.vertices - rest, axis=0).max()), default=None)

@@ -15,7 +15,7 @@ from ...core.heads.lids import EyeCut, coarse_edges, cut_eye, eyes_joined
 from ...core.mesh.surface import SurfaceGraph
 from ...core.numeric.arrays import FloatArray
 from ..frames import from_blender, to_blender
-from ..meshes import mesh_of, read_landmarks, read_vertices, write_landmarks
+from ..meshes import mesh_of, object_of, read_landmarks, read_vertices, write_landmarks
 from ..names import EYES_GROUP
 from .binding import propose_head_regions
 from .cutting import close_seams, copy_moved, edited, indices, move, separate, split_along, surface_of
@@ -43,7 +43,7 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
     HeadError
         If the mesh has no landmarks, its eyes are already open, or it has holes there.
     """
-    mesh = mesh_of(obj)
+    mesh, obj = mesh_of(obj), object_of(obj)
     landmarks = read_landmarks(obj)
     skin = current_skin(obj)
     joined = eyes_joined(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks])
@@ -67,12 +67,12 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
                 bound[landmark] = lids[place]
             patches += patch
         work.verts.index_update()
-        landmarks, members = indices(bound), indices(patches)
+        moved, members = indices(bound), indices(patches)
     group = obj.vertex_groups.get(EYES_GROUP) or obj.vertex_groups.new(name=EYES_GROUP)
     group.add(members.tolist(), 1.0, "REPLACE")
     vertices = read_vertices(mesh)
     vertices[members] = np.inf
-    write_landmarks(mesh, separate(landmarks, vertices, np.concatenate(eyes)))
+    write_landmarks(mesh, separate(moved, vertices, np.concatenate(eyes)))
     propose_head_regions(obj)
     return len(eyes)
 
@@ -140,7 +140,7 @@ def _joined_to(vertex: bmesh.types.BMVert) -> dict[bmesh.types.BMVert, None]:
     while waiting:
         if (here := waiting.pop()) not in found:
             found[here] = None
-            waiting += [edge.other_vert(here) for edge in here.link_edges]
+            waiting += [other for edge in here.link_edges if (other := edge.other_vert(here)) is not None]
     return found
 
 

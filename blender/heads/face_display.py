@@ -6,9 +6,10 @@ from collections.abc import Iterable, Iterator
 from typing import ClassVar
 
 import bpy
-from bpy.app.handlers import persistent
 
+from ..armatures import posed_bones
 from ..characters import objects_of
+from ..meshes import mesh_of
 from ..surfaces import ShownColours
 from .family import armature_of
 
@@ -39,8 +40,7 @@ class FaceDisplay:
         self._with_bones: set[int] = set()
         self._coloured: set[int] = set()
         self._shapes: list[str] = []
-        self._colours: ShownColours | None = None
-        self.apply()
+        self._colours = self.apply()
         FaceDisplay.open.append(self)
 
     @property
@@ -53,23 +53,24 @@ class FaceDisplay:
         if hidden != self._bones:
             self.revert()
             self._bones = hidden
-            self.apply()
+            self._colours = self.apply()
 
-    def apply(self) -> None:
-        """Change the viewports."""
+    def apply(self) -> ShownColours:
+        """Change the viewports, and return the colours that they show."""
         meshes = [obj for name in self._meshes if (obj := bpy.data.objects.get(name)) is not None]
-        self._colours = ShownColours(obj.data for obj in meshes)
+        colours = ShownColours(mesh_of(obj) for obj in meshes)
         for space in _spaces():
             if self._bones and space.overlay.show_bones:
                 self._with_bones.add(space.as_pointer())
                 space.overlay.show_bones = False
-            if self._colours.kind and space.shading.type == "SOLID" and space.shading.color_type == "MATERIAL":
+            if colours.kind and space.shading.type == "SOLID" and space.shading.color_type == "MATERIAL":
                 self._coloured.add(space.as_pointer())
-                space.shading.color_type = self._colours.kind
+                space.shading.color_type = colours.kind
         if self._bones:
             for shape in _shapes(meshes):
                 shape.hide_set(True)
                 self._shapes.append(shape.name)
+        return colours
 
     def revert(self) -> None:
         """Revert what `apply` changed and the user has not changed since."""
@@ -95,31 +96,28 @@ def _spaces() -> Iterator[bpy.types.SpaceView3D]:
     for screen in bpy.data.screens:
         for area in screen.areas:
             for space in area.spaces:
-                if space.type == "VIEW_3D":
+                if isinstance(space, bpy.types.SpaceView3D):
                     yield space
 
 
 def _shapes(meshes: Iterable[bpy.types.Object]) -> list[bpy.types.Object]:
     """Return the visible objects that are shapes of bones of the meshes' armatures."""
     armatures = {armature for obj in meshes if (armature := armature_of(obj)) is not None}
-    shapes = {bone.custom_shape for armature in armatures for bone in armature.pose.bones} - {None}
+    shapes = {bone.custom_shape for armature in armatures for bone in posed_bones(armature)}
     there = bpy.context.view_layer.objects
-    return [shape for shape in shapes if shape.name in there and shape.visible_get()]
+    return [shape for shape in shapes if shape is not None and shape.name in there and shape.visible_get()]
 
 
-@persistent
 def _before_saving(*_: object) -> None:
     for display in FaceDisplay.open:
         display.revert()
 
 
-@persistent
 def _after_saving(*_: object) -> None:
     for display in FaceDisplay.open:
         display.apply()
 
 
-@persistent
 def _forget(*_: object) -> None:
     FaceDisplay.open.clear()
 

@@ -20,8 +20,9 @@ from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.bones import find_bones
 from ...core.heads.part_names import named_part, names_body, names_skin
 from ...core.numeric.arrays import FloatArray
+from ..armatures import rest_bones
 from ..characters import head_of, objects_of, rest_matrix
-from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points
+from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of
 from ..names import PART_PROPERTY
 
 _STILL = 1e-6
@@ -75,7 +76,7 @@ def preset_of(obj: bpy.types.Object) -> KeyMap | None:
     names = tuple(key_names(obj))
     if _preset(names) is None:
         return None
-    known = (obj.data.shape_keys.session_uid, len(obj.data.vertices), names)
+    known = (keys_of(obj).session_uid, len(mesh_of(obj).vertices), names)
     if known not in _moving:
         _moving[known] = tuple(name for name in names if moved_by_key(obj, name).any())
     return _preset(_moving[known])
@@ -87,7 +88,7 @@ _moving: dict[tuple[int, int, tuple[str, ...]], tuple[str, ...]] = {}
 
 def moved_by_key(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
     """Return (V, 3) displacements of a key in the axes of the mesh in Blender, 0 where they are negligible."""
-    block = obj.data.shape_keys.key_blocks[name]
+    block = keys_of(obj).key_blocks[name]
     offsets = key_offsets(block)
     size = float(np.ptp(key_points(block.relative_key), axis=0).max(initial=0.0))
     return np.where(np.abs(offsets) > _STILL * size, offsets, np.float32(0.0))
@@ -197,7 +198,7 @@ def is_character(obj: bpy.types.Object) -> bool:
     if known_keys(obj) is not None:
         return True
     armature = armature_of(obj)
-    return armature is not None and bool(find_bones(list(armature.data.bones.keys()), {}).head) and leads_to_face(obj)
+    return armature is not None and bool(find_bones(list(rest_bones(armature).keys()), {}).head) and leads_to_face(obj)
 
 
 def _characters(objects: Iterable[bpy.types.Object]) -> list[list[bpy.types.Object]]:
@@ -209,11 +210,11 @@ def _characters(objects: Iterable[bpy.types.Object]) -> list[list[bpy.types.Obje
 
 
 def _size(obj: bpy.types.Object) -> tuple[float, int]:
-    return float(np.prod(obj.dimensions)), len(obj.data.vertices)
+    return float(np.prod(obj.dimensions[:])), len(mesh_of(obj).vertices)
 
 
 def _may_have_face(obj: bpy.types.Object) -> bool:
-    return obj.type == "MESH" and len(obj.data.vertices) >= N_LANDMARKS and bool(len(obj.data.polygons))
+    return obj.type == "MESH" and len(mesh_of(obj).vertices) >= N_LANDMARKS and bool(len(mesh_of(obj).polygons))
 
 
 def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.bake.key_map import KeyMap, best_preset
 from ...core.errors import HeadError
@@ -17,7 +19,7 @@ from ...core.heads.rig import neck_of
 from ...core.keys.keyed_face import face_from_keys
 from ..characters import write_bones, write_kinds
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import group_weights, key_names, read_vertices
+from ..meshes import group_weights, key_names, mesh_of, read_vertices
 from ..names import COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
 from .family import armature_of, family_of, heads_of, moved_by_key, require_character
@@ -63,20 +65,22 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     table = sets[head]
     keys = [name for name in table.keys if name in key_names(head)]
     mixtures = np.array([_mixture(table, name) for name in keys])
-    face = face_from_keys(read_vertices(head.data), mixtures, [from_blender(moved_by_key(head, name)) for name in keys])
+    face = face_from_keys(
+        read_vertices(mesh_of(head)), mixtures, [from_blender(moved_by_key(head, name)) for name in keys]
+    )
     if not np.allclose(face.upright, np.eye(3)):
         turn_mesh(head, HEAD_TO_BLENDER @ face.upright @ HEAD_TO_BLENDER.T)
-    head.data[KEYS_PROPERTY] = face.landmarks.tolist()
-    head.data[COUNT_PROPERTY] = len(head.data.vertices)
+    mesh_of(head)[KEYS_PROPERTY] = face.landmarks.tolist()
+    mesh_of(head)[COUNT_PROPERTY] = len(mesh_of(head).vertices)
     for member in family:
         if member != head and not names_body(member.name):
             part = Part.ON_SKIN if set(key_names(member)) & set(table.keys) else Part.ON_HEAD
-            write_kinds(member.data, np.full(len(member.data.vertices), part))
+            write_kinds(mesh_of(member), np.full(len(mesh_of(member).vertices), part))
             member[HEAD_PROPERTY] = head
     armature = armature_of(head)
     bones = _without_moved_eyes(bones_of(head, armature, face.landmarks), [m for m in family if m in sets])
     write_bones(head, armature if bones.head else None, bones)
-    head[PIVOT_PROPERTY] = to_blender(neck_of(read_vertices(head.data)[face.landmarks])).tolist()
+    head[PIVOT_PROPERTY] = to_blender(neck_of(read_vertices(mesh_of(head))[face.landmarks])).tolist()
     return head
 
 
@@ -87,7 +91,7 @@ def driven_by_its_keys(head: bpy.types.Object) -> str:
     return f"{head.name} is driven by its shape keys alone.{covered}"
 
 
-def _mixture(table: KeyMap, key: str) -> np.ndarray:
+def _mixture(table: KeyMap, key: str) -> NDArray[Any]:
     """Return (52,) gains of the units that a mapping assigns to a key."""
     mixture = np.zeros(len(COEFFICIENTS))
     for row in table.rows:

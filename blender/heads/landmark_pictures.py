@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...core.face.landmarks import EDGES
 from ..media.preview_scene import face_points, setup_preview
 from ..media.rendering import render_frames
-from ..meshes import read_landmarks
+from ..meshes import object_of, read_landmarks
 
 _LINE, _POINT = (80, 220, 80), (255, 255, 255)
 
@@ -37,7 +37,8 @@ def draw_landmarks(scene: bpy.types.Scene, head: bpy.types.Object, side: int) ->
     setup_preview(scene, head, (side, side))
     (picture,) = render_frames(scene, np.array([float(scene.frame_current)]), (side, side))
     points = face_points(head)[read_landmarks(head)]
-    seen = [world_to_camera_view(scene, scene.camera, Vector(point)) for point in points]
+    camera = object_of(scene.camera)
+    seen = [world_to_camera_view(scene, camera, Vector(point)) for point in points]
     pixels = [(round(place.x * side), round((1.0 - place.y) * side)) for place in seen]
     drawn = np.ascontiguousarray(picture)
     for a, b in EDGES:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.numeric import linalg
-from ..meshes import read_landmarks
+from ..meshes import mesh_of, read_landmarks
 
 NEAR = 24.0
 """Maximum distance of a click from a landmark, pixels at a resolution scale of 1."""
@@ -52,13 +52,13 @@ def landmark_places(
     """
     landmarks = read_landmarks(obj)
     evaluated = obj.evaluated_get(depsgraph)
-    vertices = evaluated.data.vertices
-    if len(vertices) < len(obj.data.vertices):
+    vertices = mesh_of(evaluated).vertices
+    if len(vertices) < len(mesh_of(obj).vertices):
         raise HeadError(f"A modifier of {obj.name} removes vertices. Disable it to show the landmarks.")
     seen = [vertices[i] for i in landmarks.tolist()]
     world = np.array(evaluated.matrix_world)
     places = np.array([vertex.co for vertex in seen]) @ world[:3, :3].T + world[:3, 3]
-    normals = np.array([vertex.normal for vertex in seen]) @ linalg.inv(world[:3, :3])
+    normals = np.array([vertex.normal for vertex in seen]) @ np.asarray(linalg.inv(world[:3, :3]))
     return project(places, normals, view, size)
 
 

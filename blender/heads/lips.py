@@ -14,7 +14,7 @@ from ...core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ib
 from ...core.heads.lips import lip_line, rim_landmarks
 from ...core.mesh.surface import SurfaceGraph, lips_joined
 from ...core.numeric.arrays import IntArray
-from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
+from ..meshes import mesh_of, object_of, read_faces, read_landmarks, read_vertices, write_landmarks
 from .binding import propose_head_regions
 from .cutting import close_seams, copy_moved, edited, indices, separate, split_along
 from .materials import plain_material
@@ -43,7 +43,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     HeadError
         If the mesh has no landmarks, its lips are already open, or no line of edges leads between them.
     """
-    mesh = mesh_of(obj)
+    mesh, obj = mesh_of(obj), object_of(obj)
     landmarks, skin = read_landmarks(obj), current_skin(obj)
     if not lips_joined(SurfaceGraph(read_vertices(mesh)[skin.kept], skin.faces), skin.number[landmarks]):
         raise HeadError("The lips are already separate from each other, so the mouth can open. Nothing has to be cut.")
@@ -100,7 +100,7 @@ def _put_pocket_behind(
 ) -> None:
     """Add walls that lead back from both rims by `depth`, and a wall that joins them there."""
     back_by = Vector((0.0, depth, 0.0))  # the head faces -y
-    backs = []
+    backs: list[list[bmesh.types.BMVert]] = []
     for rim in rims:
         back = [copy_moved(work, vertex, back_by) for vertex in rim[1:-1]]
         ends = [backs[0][0], backs[0][-1]] if backs else [copy_moved(work, rim[i], back_by) for i in (0, -1)]

@@ -10,7 +10,7 @@ import numpy as np
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ..frames import to_blender
-from ..meshes import read_vertices
+from ..meshes import mesh_of, read_vertices
 from .binding import write_marks
 from .family import family_of
 
@@ -40,7 +40,7 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
     positions = {number: np.array(mark) for number, mark in marks.items() if not isinstance(mark, int)}
     if positions and not chosen:
         obj = min(family_of(obj), key=lambda mesh: float(_distances(mesh, positions).min(axis=1).sum()))
-    count = len(obj.data.vertices)
+    count = len(mesh_of(obj).vertices)
     for number, vertex in chosen.items():
         if not 0 <= vertex < count:
             raise HeadError(f"Point {number} cannot be vertex {vertex}: {obj.name} has {count} vertices, from 0.")
@@ -52,7 +52,7 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
                 f"Point {number} is {distances.min():.3g} m away from {obj.name}. Use Blender's coordinates, with Z up."
             )
         chosen[number] = int(distances.argmin())
-    write_marks(obj.data, chosen)
+    write_marks(mesh_of(obj), chosen)
     return obj
 
 
@@ -63,8 +63,8 @@ def position_of(obj: bpy.types.Object, vertex: int) -> FloatArray:
 
 def _in_scene(obj: bpy.types.Object) -> FloatArray:
     matrix = np.array(obj.matrix_world)
-    places = np.asarray(to_blender(read_vertices(obj.data)), dtype=np.float64)
-    return places @ matrix[:3, :3].T + matrix[:3, 3]
+    places = np.asarray(to_blender(read_vertices(mesh_of(obj))), dtype=np.float64)
+    return np.asarray(places @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def _distances(obj: bpy.types.Object, positions: Mapping[int, FloatArray]) -> FloatArray:

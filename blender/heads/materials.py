@@ -62,8 +62,27 @@ def plain_material(name: str, colour: tuple[float, float, float], roughness: flo
     return material
 
 
+def _tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree:
+    assert material.node_tree is not None, "plain_material makes it"
+    return material.node_tree
+
+
 def _shader(material: bpy.types.Material) -> bpy.types.Node:
-    return next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    return next(node for node in _tree(material).nodes if node.type == "BSDF_PRINCIPLED")
+
+
+def _textured(tree: bpy.types.ShaderNodeTree, picture: str) -> bpy.types.Node:
+    node = tree.nodes.new("ShaderNodeTexImage")
+    assert isinstance(node, bpy.types.ShaderNodeTexImage)
+    node.image = _image(picture)
+    return node
+
+
+def _mapped(tree: bpy.types.ShaderNodeTree) -> bpy.types.Node:
+    node = tree.nodes.new("ShaderNodeUVMap")
+    assert isinstance(node, bpy.types.ShaderNodeUVMap)
+    node.uv_map = UV_MAP
+    return node
 
 
 def _material(
@@ -71,12 +90,10 @@ def _material(
 ) -> bpy.types.Material:
     """Create a Principled material with an image; `colour` and `roughness` are for viewports without textures."""
     material = plain_material(name, colour, roughness)
-    tree, shader = material.node_tree, _shader(material)
-    texture = tree.nodes.new("ShaderNodeTexImage")
-    texture.image = _image(picture)
+    tree, shader = _tree(material), _shader(material)
+    texture = _textured(tree, picture)
     texture.location = (-600.0, 300.0)
-    coordinates = tree.nodes.new("ShaderNodeUVMap")
-    coordinates.uv_map = UV_MAP
+    coordinates = _mapped(tree)
     coordinates.location = (-850.0, 300.0)
     tree.links.new(coordinates.outputs["UV"], texture.inputs["Vector"])
     tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
@@ -124,7 +141,9 @@ def _saturate(tree: bpy.types.NodeTree, shader: bpy.types.Node) -> None:
     node = tree.nodes.new("ShaderNodeHueSaturation")
     node.location = (-250.0, 300.0)
     node.inputs["Saturation"].default_value, node.inputs["Value"].default_value = _SATURATION, _BRIGHTNESS
-    tree.links.new(colour.links[0].from_socket, node.inputs["Color"])
+    source = colour.links[0].from_socket
+    assert source is not None, "the colour has an image"
+    tree.links.new(source, node.inputs["Color"])
     tree.links.new(node.outputs[0], colour)
 
 

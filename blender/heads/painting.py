@@ -31,7 +31,7 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
     HeadError
         If the head is hidden, or its mesh is linked from another file.
     """
-    require_own(obj.data)
+    require_own(mesh_of(obj))
     if not obj.visible_get():
         raise HeadError(f"{obj.name} is hidden. Show it first.")
     name = REGION_GROUPS[region]
@@ -45,10 +45,12 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
 def ensure_brush(context: bpy.types.Context) -> None:
     """Make sure that a weight paint brush is active, creating one if Blender has none."""
     paint = context.tool_settings.weight_paint
+    assert paint is not None
     if paint.brush is not None:
         return
     if bpy.app.version < (4, 3, 0):
-        paint.brush = bpy.data.brushes.get("Draw") or bpy.data.brushes.new("Draw", mode="WEIGHT_PAINT")
+        brush = bpy.data.brushes.get("Draw") or bpy.data.brushes.new("Draw", mode="WEIGHT_PAINT")
+        paint.brush = brush  # type: ignore[misc]  # read-only since Blender 4.3
         return
     brush = bpy.data.brushes.get(_BRUSH) or bpy.data.brushes.new(_BRUSH, mode="WEIGHT_PAINT")
     brush.asset_mark()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -20,9 +21,10 @@ from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
+from ..armatures import posed_bones
 from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import group_weights, read_faces, read_landmarks, read_vertices
+from ..meshes import group_weights, mesh_of, read_faces, read_landmarks, read_vertices
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
 
@@ -51,11 +53,11 @@ class _Pieces:
 
 def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
     """Return (V,) whether the name of a vertex's material rules out skin, before landmarks are known."""
-    faces = read_faces(obj.data)
+    faces = read_faces(mesh_of(obj))
     materials = material_names(obj)
     others = np.array([named_part([name]) is not None for name in materials] or [False])
-    kinds = np.zeros(len(obj.data.vertices), dtype=bool)
-    chosen = others[np.minimum(_material_numbers(obj.data), len(others) - 1)]
+    kinds = np.zeros(len(mesh_of(obj).vertices), dtype=bool)
+    chosen = others[np.minimum(_material_numbers(mesh_of(obj)), len(others) - 1)]
     kinds[np.unique(faces[chosen][faces[chosen] >= 0])] = True
     return kinds if not kinds.all() else np.zeros_like(kinds)
 
@@ -72,19 +74,19 @@ def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: 
     landmarks : array or None
         Vertex of each landmark, (66,), if known.
     """
-    return skin_of(read_vertices(obj.data), read_faces(obj.data), others, landmarks)
+    return skin_of(read_vertices(mesh_of(obj)), read_faces(mesh_of(obj)), others, landmarks)
 
 
 def current_skin(obj: bpy.types.Object) -> Skin:
     """Return the skin of `obj` by its landmarks and stored parts; HeadError if a landmark lies on another part."""
     landmarks = read_landmarks(obj)
-    skin = skin_of_object(obj, read_kinds(obj.data) != Part.SKIN, landmarks)
+    skin = skin_of_object(obj, read_kinds(mesh_of(obj)) != Part.SKIN, landmarks)
     if (skin.number[landmarks] < 0).any():
         raise HeadError("Landmarks lie on parts that are not skin. Set these parts to Skin, or find the face again.")
     return skin
 
 
-def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray[np.floating], skin: Skin) -> None:
+def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray[np.floating[Any]], skin: Skin) -> None:
     """Sort the meshes of the character of `head` into parts, find its bones, and store both.
 
     Parameters
@@ -98,7 +100,7 @@ def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray
     skin : Skin
         The skin, as far as it is known.
     """
-    vertices = read_vertices(head.data)
+    vertices = read_vertices(mesh_of(head))
     points = vertices[landmarks].astype(np.float64)
     armature = armature_of(head)
     bones = bones_of(head, armature, landmarks)
@@ -134,8 +136,8 @@ def sort_again(head: bpy.types.Object) -> None:
     landmarks = read_landmarks(head)
     skin = skin_of_object(head, named_others(head), landmarks)
     if (skin.number[landmarks] < 0).any():
-        skin = skin_of_object(head, np.zeros(len(head.data.vertices), dtype=bool), landmarks)
-    places = read_vertices(head.data)[skin.kept]
+        skin = skin_of_object(head, np.zeros(len(mesh_of(head).vertices), dtype=bool), landmarks)
+    places = read_vertices(mesh_of(head))[skin.kept]
     sort_character(head, landmarks, propose_regions(places, skin.faces, skin.number[landmarks]), skin)
 
 
@@ -147,9 +149,9 @@ def is_sorted(head: bpy.types.Object) -> bool:
 def forget_parts(head: bpy.types.Object) -> None:
     """Discard the parts and bones of `head`, so that binding finds them again; those of a built-in head are known."""
     for obj in (obj for obj in objects_of(head) if PART_PROPERTY not in obj):
-        write_kinds(obj.data, np.zeros(len(obj.data.vertices), dtype=np.int8))
+        write_kinds(mesh_of(obj), np.zeros(len(mesh_of(obj).vertices), dtype=np.int8))
         del obj[HEAD_PROPERTY]
-    write_kinds(head.data, np.zeros(len(head.data.vertices), dtype=np.int8))
+    write_kinds(mesh_of(head), np.zeros(len(mesh_of(head).vertices), dtype=np.int8))
     write_bones(head, None, FaceBones())
     if PIVOT_PROPERTY in head:
         del head[PIVOT_PROPERTY]
@@ -158,7 +160,7 @@ def forget_parts(head: bpy.types.Object) -> None:
 class _SkinDistance:
     """Distance of pieces from the skin of the face, whether the skin there moves, and whether they are joined to it."""
 
-    def __init__(self, skin: FloatArray, weights: NDArray[np.floating], unit: float) -> None:
+    def __init__(self, skin: FloatArray, weights: NDArray[np.floating[Any]], unit: float) -> None:
         self._nearest, self._moving, self._unit = NearestPoints(skin), weights.sum(axis=0) > _STILL, unit
 
     def of(self, points: FloatArray) -> tuple[float, bool, bool]:
@@ -175,8 +177,8 @@ def _pieces_of(
     obj: bpy.types.Object, head: bpy.types.Object, landmarks: IntArray | None, nearest: _SkinDistance
 ) -> _Pieces:
     """Return the pieces of an object in the frame of `head`; those with landmarks are skin."""
-    faces = read_faces(obj.data)
-    local = to_blender(read_vertices(obj.data))
+    faces = read_faces(mesh_of(obj))
+    local = to_blender(read_vertices(mesh_of(obj)))
     move = np.array(rest_matrix(head).inverted_safe() @ rest_matrix(obj))
     places = from_blender(local @ move[:3, :3].T + move[:3, 3]).astype(np.float64)
     number, on_skin = _numbered(obj, places, landmarks)
@@ -196,7 +198,7 @@ def _numbered(
     obj: bpy.types.Object, places: FloatArray, landmarks: IntArray | None
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the number of the piece of each vertex, (V,), and how many landmarks of the face each piece has."""
-    faces = read_faces(obj.data)
+    faces = read_faces(mesh_of(obj))
     number = islands(len(places), faces, border_twins(places, faces, np.flatnonzero(named_others(obj))))
     count = int(number.max(initial=0)) + 1
     if landmarks is None:
@@ -206,9 +208,9 @@ def _numbered(
 
 def _faces_of(group: _Pieces, piece: int) -> IntArray:
     """Return the faces of a piece, as indices into its own vertices."""
-    faces = read_faces(group.obj.data)
+    faces = read_faces(mesh_of(group.obj))
     own = np.append(np.cumsum(group.number == piece) - 1, -1)
-    return own[faces[group.number[faces[:, 0]] == piece]]
+    return np.asarray(own[faces[group.number[faces[:, 0]] == piece]])
 
 
 def _store(group: _Pieces, parts: Sequence[Part | None], head: bpy.types.Object, points: FloatArray) -> None:
@@ -217,7 +219,7 @@ def _store(group: _Pieces, parts: Sequence[Part | None], head: bpy.types.Object,
     for i in (i for i, part in enumerate(parts) if part is None):
         within = np.flatnonzero(group.number == i)
         kinds[within[lower_row(group.pieces[i].vertices, _faces_of(group, i), points)]] = Part.TEETH_LOWER
-    write_kinds(group.obj.data, kinds)
+    write_kinds(mesh_of(group.obj), kinds)
     if group.obj != head:
         group.obj[HEAD_PROPERTY] = head
 
@@ -230,7 +232,7 @@ def _by_bone(part: Part | None, owner: str, bones: FaceBones) -> Part | None:
 
 
 def _eye_bone(part: Part | None, bones: FaceBones) -> str:
-    return {Part.EYE_RIGHT: bones.eye_right, Part.EYE_LEFT: bones.eye_left}.get(part, "")
+    return "" if part is None else {Part.EYE_RIGHT: bones.eye_right, Part.EYE_LEFT: bones.eye_left}.get(part, "")
 
 
 def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones) -> list[str]:
@@ -263,9 +265,9 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
     """
     if armature is None:
         return FaceBones()
-    free = [bone.name for bone in armature.pose.bones if not bone.constraints]
+    free = [bone.name for bone in posed_bones(armature) if not bone.constraints]
     weights: dict[str, float] = {}
-    for vertex in (head.data.vertices[i] for i in landmarks.tolist()):
+    for vertex in (mesh_of(head).vertices[i] for i in landmarks.tolist()):
         for element in vertex.groups:
             name = head.vertex_groups[element.group].name
             if name in free:
@@ -285,7 +287,7 @@ def _material_numbers(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 def _material_of_pieces(obj: bpy.types.Object, faces: IntArray, number: IntArray) -> list[str]:
     """Return the name of the material of most faces of each piece; "" if it has none."""
     names = material_names(obj) or [""]
-    materials = np.minimum(_material_numbers(obj.data), len(names) - 1)
+    materials = np.minimum(_material_numbers(mesh_of(obj)), len(names) - 1)
     counts = np.zeros((int(number.max(initial=0)) + 1, len(names)), dtype=np.intp)
     np.add.at(counts, (number[faces[:, 0]], materials), 1)
     return [names[row] for row in counts.argmax(axis=1)]

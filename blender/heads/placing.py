@@ -13,7 +13,7 @@ from ...core.binding.bind import MARKS, MIN_MARKS
 from ...core.face.landmarks import from_ibug
 from ...core.heads.parts import Part
 from ..characters import read_kinds
-from ..meshes import is_head, read_landmarks, read_regions, write_landmarks
+from ..meshes import is_head, mesh_of, object_of, read_landmarks, read_regions, write_landmarks
 from ..viewports import Viewport
 from .binding import (
     VertexTakenError,
@@ -62,15 +62,15 @@ class Placing:
         self._take_back = take_back
         self.discarded = False
         self._step = 0
-        self._marks = read_marks(obj.data)
+        self._marks = read_marks(mesh_of(obj))
         self._landmarks = read_landmarks(obj) if is_head(obj) else None
-        self._count = len(obj.data.vertices)
+        self._count = len(mesh_of(obj).vertices)
 
     @property
     def obj(self) -> bpy.types.Object | None:
         """The object, or None if it has been deleted or changed in the meantime."""
         obj = bpy.data.objects.get(self.name)
-        return obj if obj is not None and obj.type == "MESH" and len(obj.data.vertices) == self._count else None
+        return obj if obj is not None and obj.type == "MESH" and len(mesh_of(obj).vertices) == self._count else None
 
     @property
     def next_mark(self) -> int | None:
@@ -85,25 +85,25 @@ class Placing:
     @property
     def enough(self) -> bool:
         """Whether there are as many marks as the search needs."""
-        return len(read_marks(self.obj.data)) >= MIN_MARKS
+        return len(read_marks(mesh_of(self.obj))) >= MIN_MARKS
 
     def mark(self, vertex: int) -> None:
         """Mark the next point."""
-        write_marks(self.obj.data, read_marks(self.obj.data) | {self.asked[self._step]: vertex})
+        write_marks(mesh_of(self.obj), read_marks(mesh_of(self.obj)) | {self.asked[self._step]: vertex})
         self._step += 1
 
     def unmark(self) -> None:
         """Clear the last mark."""
         if self._step:
             self._step -= 1
-            marks = read_marks(self.obj.data)
+            marks = read_marks(mesh_of(self.obj))
             marks.pop(self.asked[self._step], None)
-            write_marks(self.obj.data, marks)
+            write_marks(mesh_of(self.obj), marks)
 
     def drag(self, vertex: int) -> None:
         """Bind the held landmark to a vertex, unless another landmark is there."""
         try:
-            move_landmark(self.obj, self.held, vertex)
+            move_landmark(object_of(self.obj), self.held, vertex)
         except VertexTakenError:
             return
 
@@ -130,9 +130,9 @@ class Placing:
             return
         if (obj := self.obj) is None:
             return
-        write_marks(obj.data, self._marks)
+        write_marks(mesh_of(obj), self._marks)
         if self._landmarks is not None:
-            write_landmarks(obj.data, self._landmarks)
+            write_landmarks(mesh_of(obj), self._landmarks)
 
 
 def marks_to_ask(wanted: Sequence[int] = ()) -> tuple[int, ...]:
@@ -177,16 +177,16 @@ def skin_under(
     if not seen.view.is_perspective:  # Blender starts such a ray in the middle of the view
         begin -= _BEFORE * seen.view.view_distance * ahead
     hit, place, *_ = evaluated.ray_cast(to_object @ begin, to_object.to_3x3() @ ahead)
-    if not hit or len(evaluated.data.vertices) < len(obj.data.vertices):
+    if not hit or len(mesh_of(evaluated).vertices) < len(mesh_of(obj).vertices):
         return None
     return _nearest(obj, evaluated, place)
 
 
 def _nearest(obj: bpy.types.Object, evaluated: bpy.types.Object, place: Vector) -> int:
-    flat = np.empty(3 * len(evaluated.data.vertices), np.float32)
-    evaluated.data.vertices.foreach_get("co", flat)
-    squared = ((flat.reshape(-1, 3)[: len(obj.data.vertices)] - np.float32(place)) ** 2).sum(axis=1)
-    kinds = read_kinds(obj.data)
+    flat = np.empty(3 * len(mesh_of(evaluated).vertices), np.float32)
+    mesh_of(evaluated).vertices.foreach_get("co", flat)
+    squared = ((flat.reshape(-1, 3)[: len(mesh_of(obj).vertices)] - np.array(place, dtype=np.float32)) ** 2).sum(axis=1)
+    kinds = read_kinds(mesh_of(obj))
     if (kinds == Part.SKIN).any():
         squared[kinds != Part.SKIN] = np.inf
     return int(squared.argmin())

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ..frames import to_blender
-from ..meshes import read_faces, read_vertices
+from ..meshes import keys_of, mesh_of, read_faces, read_vertices
 from .family import family_of
 
 _INFINITE = 1e15
@@ -37,7 +39,7 @@ def require_sound(obj: bpy.types.Object) -> None:
     """
     for member in family_of(obj):
         _require_finite(member)
-    mirrors = [modifier for modifier in _shown_modifiers(obj) if modifier.type == "MIRROR"]
+    mirrors = [modifier for modifier in _shown_modifiers(obj) if isinstance(modifier, bpy.types.MirrorModifier)]
     for modifier in mirrors:
         if _is_half(obj, modifier):
             raise HeadError(
@@ -50,12 +52,12 @@ def generating_modifiers(obj: bpy.types.Object) -> list[str]:
     """Return the names of the modifiers that may add a face to what is in the mesh `obj`."""
     names = [modifier.name for modifier in _shown_modifiers(obj) if modifier.type not in _HARMLESS]
     final = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()) if names else obj
-    return names if names and len(final.data.vertices) != len(obj.data.vertices) else []
+    return names if names and len(mesh_of(final).vertices) != len(mesh_of(obj).vertices) else []
 
 
 def stray_vertices(obj: bpy.types.Object) -> NDArray[np.bool_]:
     """Return (V,) whether a vertex is astray: in no face, as scans leave some behind, or far from all others."""
-    vertices, faces = read_vertices(obj.data).astype(np.float64), read_faces(obj.data)
+    vertices, faces = read_vertices(mesh_of(obj)).astype(np.float64), read_faces(mesh_of(obj))
     loose = np.ones(len(vertices), dtype=bool)
     loose[np.unique(faces[faces >= 0])] = False
     if not (~loose).any():
@@ -66,15 +68,15 @@ def stray_vertices(obj: bpy.types.Object) -> NDArray[np.bool_]:
 
 
 def _require_finite(obj: bpy.types.Object) -> None:
-    bad = _infinite(read_vertices(obj.data))
+    bad = _infinite(read_vertices(mesh_of(obj)))
     if bad.any():
-        _select(obj.data, bad)
+        _select(mesh_of(obj), bad)
         numbers = ", ".join(map(str, np.flatnonzero(bad)[:_NAMED])) + (", ..." if bad.sum() > _NAMED else "")
         raise HeadError(
             f"{obj.name} has vertices whose positions are infinite or not numbers: {numbers}. "
             "Delete them in Edit Mode, where they are selected, and find the face again."
         )
-    for key in obj.data.shape_keys.key_blocks if obj.data.shape_keys is not None else ():
+    for key in keys_of(obj).key_blocks if mesh_of(obj).shape_keys is not None else ():
         flat = np.empty(3 * len(key.points), dtype=np.float32)
         key.points.foreach_get("co", flat)
         if _infinite(flat.reshape(-1, 3)).any():
@@ -84,8 +86,8 @@ def _require_finite(obj: bpy.types.Object) -> None:
             )
 
 
-def _infinite(places: NDArray[np.floating]) -> NDArray[np.bool_]:
-    return ~(np.abs(places) < _INFINITE).all(axis=1)
+def _infinite(places: NDArray[np.floating[Any]]) -> NDArray[np.bool_]:
+    return np.asarray(~(np.abs(places) < _INFINITE).all(axis=1))
 
 
 def _select(mesh: bpy.types.Mesh, chosen: NDArray[np.bool_]) -> None:
@@ -105,7 +107,7 @@ def _shown_modifiers(obj: bpy.types.Object) -> list[bpy.types.Modifier]:
 
 def _is_half(obj: bpy.types.Object, mirror: bpy.types.MirrorModifier) -> bool:
     """Return whether (almost) all vertices of `obj` are on one side of a plane of its Mirror modifier."""
-    places = np.array(to_blender(read_vertices(obj.data)), dtype=np.float64)
+    places = np.array(to_blender(read_vertices(mesh_of(obj))), dtype=np.float64)
     if mirror.mirror_object is not None:
         own = np.array(mirror.mirror_object.matrix_world.inverted_safe() @ obj.matrix_world)
         places = places @ own[:3, :3].T + own[:3, 3]
@@ -114,4 +116,4 @@ def _is_half(obj: bpy.types.Object, mirror: bpy.types.MirrorModifier) -> bool:
 
 def _is_one_sided(across: FloatArray) -> bool:
     middle = 1e-4 * float(np.abs(across).max(initial=0.0))
-    return max((across >= -middle).mean(), (across <= middle).mean()) >= _ONE_SIDED
+    return bool(max((across >= -middle).mean(), (across <= middle).mean()) >= _ONE_SIDED)

@@ -7,10 +7,12 @@ from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
 from ...core.bake.key_map import ESSENTIAL
 from ...core.bake.key_names import normalised
 from ...core.heads.vrm import MorphBind, expressions_of
+from ..meshes import keys_of, mesh_of
 from .keyed import known_set
 
 
@@ -34,7 +36,7 @@ def add_expressions(gltf: Mapping[str, Any], objects: Iterable[bpy.types.Object]
     ValueError
         If the file is damaged.
     """
-    meshes = {obj.data: obj for obj in objects if obj.type == "MESH" and obj.data.shape_keys is not None}
+    meshes = {mesh_of(obj): obj for obj in objects if obj.type == "MESH" and mesh_of(obj).shape_keys is not None}
     sets = [found for obj in meshes.values() if (found := known_set(obj)) is not None]
     if any(found.sources >= ESSENTIAL for found in sets):
         return 0
@@ -61,11 +63,11 @@ def _imported(names: Sequence[str], index: int, meshes: Sequence[bpy.types.Mesh]
 
 def _add(obj: bpy.types.Object, name: str, binds: Sequence[MorphBind]) -> bool:
     """Add the mixture of morph targets as a shape key, unless there is one of that name."""
-    blocks = obj.data.shape_keys.key_blocks
-    targets = [block for block in blocks if block != obj.data.shape_keys.reference_key]
+    blocks = keys_of(obj).key_blocks
+    targets = [block for block in blocks if block != keys_of(obj).reference_key]
     if any(normalised(block.name) == normalised(name) for block in blocks):
         return False
-    basis = _points(obj.data.shape_keys.reference_key)
+    basis = _points(keys_of(obj).reference_key)
     moved = basis.copy()
     for bind in binds:
         if bind.target < len(targets):
@@ -78,7 +80,7 @@ def _add(obj: bpy.types.Object, name: str, binds: Sequence[MorphBind]) -> bool:
     return True
 
 
-def _points(key: bpy.types.ShapeKey) -> np.ndarray:
+def _points(key: bpy.types.ShapeKey) -> NDArray[Any]:
     flat = np.empty(3 * len(key.points), dtype=np.float32)
     key.points.foreach_get("co", flat)
     return flat

@@ -16,7 +16,7 @@ from ...core.heads.built_in import load_head
 from ..characters import objects_of
 from ..collections import collections_in, revealed
 from ..frames import to_blender
-from ..meshes import can_be_driven, read_places
+from ..meshes import can_be_driven, mesh_of, read_places
 from ..muting import mute_paths
 from ..names import PART_PROPERTY
 from ..surfaces import show_colour_images
@@ -136,8 +136,8 @@ def set_shading(scene: bpy.types.Scene, folds: float) -> None:
     folds : float
         Size of the folds that are shaded.
     """
-    scene.render.engine = "BLENDER_WORKBENCH"
-    scene.view_settings.view_transform = "Standard"
+    scene.render.engine = "BLENDER_WORKBENCH"  # type: ignore[assignment]  # engines register themselves
+    scene.view_settings.view_transform = "Standard"  # type: ignore[assignment]  # depends on the configuration
     scene.display.render_aa = "8"
     shading = scene.display.shading
     shading.light = "STUDIO"
@@ -170,7 +170,7 @@ def face_points(obj: bpy.types.Object) -> NDArray[np.float64]:
     with nullcontext() if obj.visible_get() else revealed([obj]):
         graph = bpy.context.evaluated_depsgraph_get()
         shown = obj.evaluated_get(graph)
-        mesh = shown.data if len(shown.data.vertices) == len(obj.data.vertices) else obj.data
+        mesh = mesh_of(shown) if len(mesh_of(shown).vertices) == len(mesh_of(obj).vertices) else mesh_of(obj)
         flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
         mesh.vertices.foreach_get("co", flat)
         world = np.array(shown.matrix_world)

@@ -45,9 +45,10 @@ def add_reference(
     image = bpy.data.images.load(str(path), check_existing=True)
     image.source = "MOVIE"
     empty = bpy.data.objects.new(f"{path.stem} Reference", None)
-    empty.empty_display_type, empty.data = "IMAGE", image
+    empty.empty_display_type = "IMAGE"
+    empty.data = image  # type: ignore[assignment]  # an empty may have an image
     empty.image_user.use_auto_refresh = True
-    _keep_in_step(scene, empty, _rate_in_blender(path), offset, start)
+    _keep_in_step(scene, empty, image.frame_duration, _rate_in_blender(path), offset, start)
     width, height = image.size
     turned = bpy.app.version < _ROTATES_VIDEOS
     if turned and turn % 180:
@@ -70,16 +71,18 @@ def _rate_in_blender(path: Path) -> float:
         bpy.data.movieclips.remove(clip)
 
 
-def _keep_in_step(scene: bpy.types.Scene, empty: bpy.types.Object, fps: float, offset: float, start: float) -> None:
+def _keep_in_step(
+    scene: bpy.types.Scene, empty: bpy.types.Object, count: int, fps: float, offset: float, start: float
+) -> None:
     """Show the image of the time t + offset at t seconds after the frame `start` of a scene."""
-    count, rate, user = empty.data.frame_duration, rate_of(scene), empty.image_user
+    rate, user = rate_of(scene), empty.image_user
     first = int(np.floor(start))
     frames = np.arange(first, max(first + 1, int(np.ceil(start + (count / fps - offset) * rate))) + 1)
     shown = np.round(((frames - start) / rate + offset) * fps) - (frames - first)
     # Blender adds the offset to the frame within this span of the scene, in which it stays.
     user.frame_start, user.frame_duration, user.frame_offset = first, len(frames), int(shown[0])
     if np.ptp(shown) > 0:
-        write_curves(empty, empty.name, frames, [Curve("image_user.frame_offset", 0, shown)])
+        write_curves(empty, empty.name, frames.astype(np.float64), [Curve("image_user.frame_offset", 0, shown)])
 
 
 def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float, turn: float) -> None:

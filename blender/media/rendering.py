@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ...blender.media.sound import strips_of
 from ...core.errors import OutputError, SourceError
 from ...core.files.locks import temporary_folder
 from ...core.files.writing import replacing
@@ -186,11 +187,11 @@ def _encode(folder: Path, names: list[str], size: tuple[int, int], fps: float, o
         render.resolution_x, render.resolution_y = size
         render.resolution_percentage = 100
         set_rate(scene, fps)
-        scene.view_settings.view_transform = "Standard"
+        scene.view_settings.view_transform = "Standard"  # type: ignore[assignment]  # depends on the configuration
         scene.frame_start, scene.frame_end = 1, len(names)
         editor = scene.sequence_editor_create()
-        strips = editor.strips if hasattr(editor, "strips") else editor.sequences
-        strip = strips.new_image("frames", str(folder / names[0]), channel=1, frame_start=1)
+        strip = strips_of(editor).new_image("frames", str(folder / names[0]), channel=1, frame_start=1)
+        assert isinstance(strip, bpy.types.ImageStrip)
         for name in names[1:]:
             strip.elements.append(name)
         strip.frame_final_duration = len(names)

@@ -43,7 +43,7 @@ def add_sound(scene: bpy.types.Scene, path: Path, frame: float) -> bpy.types.Str
     return strip
 
 
-def strips_of(editor: bpy.types.SequenceEditor) -> bpy.types.bpy_prop_collection:
+def strips_of(editor: bpy.types.SequenceEditor) -> bpy.types.StripsTopLevel:
     """Return the strips of a Sequencer in any version of Blender."""
     return editor.strips if hasattr(editor, "strips") else editor.sequences
 

@@ -25,6 +25,6 @@ def beep() -> bool:
         _Output.device = _Output.device or aud.Device()
         tone = aud.Sound.sine(_PITCH).limit(0.0, _SECONDS).fadeout(_SECONDS - _FADE, _FADE).volume(_VOLUME)
         _Output.playing = _Output.device.play(tone)
-    except aud.error:
+    except aud.error:  # type: ignore[misc]  # it is an exception
         return False
     return True

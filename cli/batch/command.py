@@ -101,8 +101,8 @@ def run_clip(job: PuppetJob, number: int | None) -> int:
             return 0
         started = time.monotonic()
         take = clip.output(folder, SUFFIX)
-        wanted = {"output": clip.output(folder, ".blend"), "take": take, "sheet": clip.output(folder, ".png")}
-        if status := run_puppet(replace(job, source=clip.path.absolute(), **wanted)):
+        output, sheet = clip.output(folder, ".blend"), clip.output(folder, ".png")
+        if status := run_puppet(replace(job, source=clip.path.absolute(), output=output, take=take, sheet=sheet)):
             return status
         tracked = load_take(take)
         write_record(clip, folder, tracked, time.monotonic() - started, _thumbnails(clip.path, tracked))

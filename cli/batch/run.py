@@ -96,7 +96,7 @@ class DaskRunner:
                 "--dask needs Dask's distributed scheduler, which is not installed. Run: pip install distributed"
             ) from error
         try:
-            self._client = Client(address, timeout="10s")
+            self._client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]  # Dask has no types
         except (OSError, ValueError) as error:
             raise FacemimeError(
                 f"There is no Dask scheduler at {address}. Start one by running dask scheduler, and use its address."
@@ -109,15 +109,15 @@ class DaskRunner:
 
         futures = {self._client.submit(run_line, list(line), pure=False): i for i, line in enumerate(lines)}
         self._waiting = list(futures)
-        for future in each(futures):
+        for future in each(futures):  # type: ignore[no-untyped-call]  # Dask has no types
             error = future.exception()
             status, said = (1, f"lost with its worker: {error}") if error is not None else future.result()
             yield Outcome(futures[future], status, said)
 
     def close(self) -> None:
         """As `Runner.close`."""
-        self._client.cancel(self._waiting)
-        self._client.close()
+        self._client.cancel(self._waiting)  # type: ignore[no-untyped-call]  # Dask has no types
+        self._client.close()  # type: ignore[no-untyped-call]  # Dask has no types
 
 
 def run_line(line: list[str]) -> tuple[int, str]:

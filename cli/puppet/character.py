@@ -85,9 +85,9 @@ class BoundCharacter:
     def key_table(self) -> str:
         """Return a line for each shape key that was made: how far it moves, and what stays open or passes through."""
         qualities = [] if self.keys is None else self.keys.qualities
-        rows = [("key", "moves %", "eyes %", "lips %", "crossing")]
+        rows = [["key", "moves %", "eyes %", "lips %", "crossing"]]
         rows += [
-            (q.name, *(_percent(value) for value in (q.moved, q.eyes, q.lips)), str(q.crossing)) for q in qualities
+            [q.name, *(_percent(value) for value in (q.moved, q.eyes, q.lips)), str(q.crossing)] for q in qualities
         ]
         width = max(len(row[0]) for row in rows)
         return "\n".join(f"{row[0]:{width}}" + "".join(f"  {cell:>8}" for cell in row[1:]) for row in rows)
@@ -235,7 +235,8 @@ def _sampled(path: Path, head: bpy.types.Object) -> Take:
 def _choose_clip(path: Path, head: bpy.types.Object, name: str) -> None:
     """Play the clip `name` of a character, or say which other clips there are."""
     armature = armature_of(head)
-    owners = owners_of(sorted(character_of(head) | ({armature} - {None}), key=lambda obj: obj.name))
+    objects = character_of(head).union(() if armature is None else (armature,))
+    owners = owners_of(sorted(objects, key=lambda obj: obj.name))
     clips = clips_of(owners)
     if name:
         play(clips, name, owners)

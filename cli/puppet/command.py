@@ -39,7 +39,9 @@ def add_commands(commands: Commands) -> None:
     add_settings(track, TrackingSettings)
     track.set_defaults(
         run=lambda given: run_track(
-            *(given[name] for name in ("video", "output", "face")),
+            given["video"],
+            given["output"],
+            given["face"],
             filled(TrackingSettings, given),
             smooth=given["smooth"],
         )

@@ -249,8 +249,8 @@ def _open_head(file: HeadFile, by_keys: Collection[str] | None) -> bpy.types.Obj
 
 def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] | None) -> bpy.types.Object:
     """Bind the character of an object, and say how."""
-    sets = [] if by_keys is None else [known_set(member) for member in family_of(chosen)]
-    if any(found is not None and found.sources.issuperset(by_keys) for found in sets):
+    sets = [found for member in family_of(chosen) if (found := known_set(member)) is not None]
+    if by_keys is not None and any(found.sources.issuperset(by_keys) for found in sets):
         head = bind_keys(chosen)
         tell(driven_by_its_keys(head))
         return head

@@ -21,7 +21,7 @@ from ...blender.heads.built_in import add_head
 from ...blender.media.preview_scene import FaceView, face_view, setup_preview
 from ...blender.media.rendering import render_frames, set_rate, without_subdivision, write_video
 from ...blender.media.saving import saved_by_blender
-from ...blender.meshes import write_selection
+from ...blender.meshes import mesh_of, write_selection
 from ...blender.timeline import frames_of
 from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ...core.bake.key_map import ESSENTIAL, load_map
@@ -74,7 +74,7 @@ def open_stage(job: PuppetJob) -> Stage:
     by_keys = {"mapped": frozenset(), AUTOMATIC: ESSENTIAL}.get(settings.bake.keys)
     head = _built_in(settings.bake) if job.head is None else open_head(job.head, by_keys=by_keys)
     if points is not None:
-        write_selection(head.data, points)
+        write_selection(mesh_of(head), points)
     check_heads([head], settings.bake)
     return Stage(scene_of(head), head, settings)
 
@@ -169,6 +169,7 @@ def look_through_camera() -> None:
     """Set all 3D viewports of the file to the camera view, with textures."""
     for screen in bpy.data.screens:
         for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
+            assert isinstance(space, bpy.types.SpaceView3D) and space.region_3d is not None
             space.shading.type = "SOLID"
             space.shading.color_type = "TEXTURE"
             space.region_3d.view_perspective = "CAMERA"

@@ -23,7 +23,7 @@ def animation_rate(path: Path) -> float | None:
     if str(folder) not in sys.path:
         sys.path.append(str(folder))
     with suppress(Exception):  # its errors, of a damaged file, have no common class; the importer reports the damage
-        from pxr import Usd
+        from pxr import Usd  # type: ignore[import-not-found]  # in Blender's own Python
 
         return float(Usd.Stage.Open(str(path)).GetTimeCodesPerSecond())
     return None

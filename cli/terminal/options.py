@@ -10,7 +10,7 @@ import re
 import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
-from typing import IO, Any, TypeVar, get_type_hints
+from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_type_hints
 
 from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ...core.drive.drive_settings import DriveSettings, PosingSettings
@@ -24,6 +24,9 @@ from ...core.tracking.choice import LEFTMOST, RIGHTMOST
 from ...core.tracking.tracking_settings import TrackingSettings
 from .console import printable, say, write_error
 
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
+
 _SIDES = {"left": LEFTMOST, "right": RIGHTMOST}
 _FOLLOWED = ("rotation", "translation")
 _POSES = {"none": (False, False), "rotation": (True, False), "full": (True, True)}
@@ -34,7 +37,7 @@ _HEAD_FILE = re.compile(rf"(.+(?:{'|'.join(map(re.escape, CHARACTER_SUFFIXES))})
 _MAX_PIXEL = 1_000_000
 
 
-Commands = argparse._SubParsersAction  # argparse has no public name for this type
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # argparse has no public name for it
 Options = Mapping[str, Any]
 """Values of a command's options by name."""
 Job = TypeVar("Job")
@@ -43,7 +46,7 @@ Job = TypeVar("Job")
 class Parser(argparse.ArgumentParser):
     """A parser whose messages cannot control the terminal, and whose streams may be closed."""
 
-    def _print_message(self, message: str, file: IO[str] | None = None) -> None:
+    def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
         text = "\n".join(printable(line) for line in message.rstrip("\n").split("\n"))
         if file is sys.stdout:
             say(text)
@@ -344,8 +347,8 @@ def as_options(job: PuppetJob) -> list[str]:
         sides = {place: name for name, place in _SIDES.items()}
         line += ["--face", sides.get(job.face) or ",".join(f"{part:.0f}" for part in job.face)]
     if job.head is not None:
-        path = os.path.abspath(job.head.path)
-        line += ["--head", f"{path}:{job.head.name}" if job.head.name else path]
+        head = os.path.abspath(job.head.path)
+        line += ["--head", f"{head}:{job.head.name}" if job.head.name else head]
     for name, path in (("points", job.points), ("map", job.map)):
         if path is not None:
             line += [_flag(name), os.path.abspath(path)]

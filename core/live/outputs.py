@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
+from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver, HeadFrame
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
@@ -71,6 +72,19 @@ class Output(Protocol):
 
     def close(self) -> None:
         """End the output."""
+
+
+@runtime_checkable
+class DrivenOutput(Output, Protocol):
+    """Interface of an output whose content depends on how a frame moves a head.
+
+    Attributes
+    ----------
+    options : DriveSettings
+        The current options; may be assigned at any time.
+    """
+
+    options: DriveSettings
 
 
 class Display(Protocol):

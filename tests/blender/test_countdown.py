@@ -41,9 +41,9 @@ def puppet_running():
 def test_a_recording_starts_after_the_countdown_with_a_beep(puppet_running, beeps):
     session = running()
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
-    assert session.recording is None and 0.0 < session.countdown <= 3.0 and "recording starts" in session.task
+    assert session.recorder.recording is None and 0.0 < session.countdown <= 3.0 and "recording starts" in session.task
     session._delayed = replace(session._delayed, at=time.perf_counter() - 1.0)
-    ticks_until(lambda: session.recording is not None and session.recording.frames > 2)
+    ticks_until(lambda: session.recorder.recording is not None and session.recorder.recording.frames > 2)
     assert session.countdown is None and len(beeps) == 1
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     assert len(bpy.context.scene.facemime_takes.items) == 1
@@ -53,12 +53,12 @@ def test_by_default_there_is_a_countdown_before_a_performer_and_none_before_a_vi
     session, takes = running(), bpy.context.scene.facemime_takes
     takes.property_unset("countdown")
     bpy.ops.facemime.record_take()
-    assert session.countdown is None and session.recording is not None
+    assert session.countdown is None and session.recorder.recording is not None
     bpy.ops.facemime.record_take()
     session.worker.source, video = StreamSource(StreamSettings()), session.worker.source
     try:
         bpy.ops.facemime.record_take()
-        assert session.recording is None and 0.0 < session.countdown <= 3.0
+        assert session.recorder.recording is None and 0.0 < session.countdown <= 3.0
     finally:
         session.worker.source.close()
         session.worker.source = video
@@ -74,7 +74,7 @@ def test_esc_in_the_viewport_cancels_the_countdown_and_not_the_puppet(puppet_run
 def test_the_button_cancels_the_countdown(puppet_running, beeps):
     bpy.ops.facemime.record_take()
     bpy.ops.facemime.record_take()
-    assert running().countdown is None and running().recording is None and not beeps
+    assert running().countdown is None and running().recorder.recording is None and not beeps
 
 
 @pytest.mark.thorough
@@ -82,7 +82,7 @@ def test_the_button_cancels_the_countdown(puppet_running, beeps):
 def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, beeps, sounds):
     preferences().sounds = sounds
     session = running()
-    session.calibrate(countdown=0.0)
+    session.calibrating.begin(countdown=0.0)
     ticks_until(lambda: session.countdown is None)
     assert len(beeps) == sounds
     preferences().property_unset("sounds")
@@ -90,7 +90,7 @@ def test_the_end_of_a_calibration_is_heard_if_sounds_are_wanted(puppet_running, 
 
 def test_the_countdown_continues_in_the_viewport_without_frames(puppet_running, monkeypatch):
     session, redrawn = running(), []
-    session.calibrate(countdown=60.0)
+    session.calibrating.begin(countdown=60.0)
     ticks_until(lambda: not session.step())
     monkeypatch.setattr(puppet, "redraw", lambda context, kind: redrawn.append(kind))
     session.operator._redrawn_at = -1.0
@@ -101,9 +101,9 @@ def test_the_countdown_continues_in_the_viewport_without_frames(puppet_running, 
 @pytest.mark.parametrize(("range_of", "asked"), [(False, "Hold Still"), (True, "Now")])
 def test_at_the_end_of_a_countdown_the_performer_is_told_what_to_do(puppet_running, range_of, asked):
     session = running()
-    session.calibrate(range_of=range_of, countdown=2.5)
+    session.calibrating.begin(range_of=range_of, countdown=2.5)
     assert countdown_text(session) == "3"
-    session.calibrate(range_of=range_of, countdown=0.0)
+    session.calibrating.begin(range_of=range_of, countdown=0.0)
     assert countdown_text(session) == asked
 
 

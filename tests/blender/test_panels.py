@@ -271,7 +271,7 @@ def test_the_box_on_top_offers_the_keys_of_a_character_before_its_face():
 
 def test_the_box_on_top_shows_the_next_steps_after_a_recording(session, takes):
     assert bpy.ops.facemime.record_take(name="First") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 3)
+    wait_for(lambda: session.recorder.recording.frames > 3)
     assert "facemime.bake_take" not in draw(FACEMIME_PT_start)
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     drawn = draw(FACEMIME_PT_start)
@@ -299,7 +299,7 @@ _ELSEWHERE = frozenset(
 def reachable(menu: type) -> set[str]:
     """Return the operators of a menu and of its submenus."""
     layout = Layout()
-    menu.draw(SimpleNamespace(layout=layout), bpy.context)
+    menu.draw(SimpleNamespace(layout=layout, entries=getattr(menu, "entries", ())), bpy.context)
     found = {call[1].removeprefix("facemime.") for call in layout.calls if call[0].startswith("operator") and call[1:]}
     submenus = (getattr(bpy.types, call[1]) for call in layout.calls if call[0] == "menu")
     return found.union(*(reachable(each) for each in submenus))

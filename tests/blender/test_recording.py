@@ -30,7 +30,7 @@ def test_a_recording_is_on_disk_from_the_start_and_in_the_list_at_the_end(sessio
     wait_for(lambda: session.worker.counts.tracked > 5)
     assert bpy.ops.facemime.record_take(name="Anna") == {"FINISHED"}
     path = tmp_path / "takes" / "Anna.facetake"
-    wait_for(lambda: session.recording.frames > 80)
+    wait_for(lambda: session.recorder.recording.frames > 80)
     assert "cut" in load_take(path).info["recovered"]
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     line = takes.items[0]
@@ -46,10 +46,10 @@ def test_a_recording_is_on_disk_from_the_start_and_in_the_list_at_the_end(sessio
 def test_stopping_the_session_lists_the_recording_and_the_next_one_gets_a_new_file(session, takes):
     for _ in range(2):
         assert bpy.ops.facemime.record_take(name="Same") == {"FINISHED"}
-        wait_for(lambda: session.recording.frames > 3)
+        wait_for(lambda: session.recorder.recording.frames > 3)
         if len(takes.items):
             session.close()
-            assert Session.current is session and session.recording is not None
+            assert Session.current is session and session.recorder.recording is not None
             attend()
         else:
             bpy.ops.facemime.record_take()
@@ -59,7 +59,7 @@ def test_stopping_the_session_lists_the_recording_and_the_next_one_gets_a_new_fi
 
 def test_a_recording_is_listed_before_the_next_session_starts(session, takes):
     assert bpy.ops.facemime.record_take(name="First") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 3)
+    wait_for(lambda: session.recorder.recording.frames > 3)
     session.close()
     second = start_session(bpy.context.scene, [bpy.data.objects["Facemime Head"]])
     assert [line.name for line in takes.items] == ["First"] and Session.current is second
@@ -67,24 +67,24 @@ def test_a_recording_is_listed_before_the_next_session_starts(session, takes):
 
 def test_a_recording_whose_disk_is_full_is_listed_while_the_puppet_continues(session, takes, monkeypatch):
     assert bpy.ops.facemime.record_take(name="Full") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 60)
+    wait_for(lambda: session.recorder.recording.frames > 60)
 
     def fail(*_):
         raise OutputError("The disk is full.")
 
-    monkeypatch.setattr(session.recording, "append", fail)
-    wait_for(lambda: attend() or session.recording is None)
+    monkeypatch.setattr(session.recorder.recording, "append", fail)
+    wait_for(lambda: attend() or session.recorder.recording is None)
     assert [line.name for line in takes.items] == ["Full"] and running() is session
 
 
 def test_undoing_during_a_recording_keeps_it_and_the_take_before(session, takes):
     for name in ("First", "Second"):
         assert bpy.ops.facemime.record_take(name=name) == {"FINISHED"}
-        wait_for(lambda: session.recording.frames > 3)
+        wait_for(lambda: session.recorder.recording.frames > 3)
         if name == "First":
             assert bpy.ops.facemime.record_take() == {"FINISHED"}
     assert bpy.ops.ed.undo() == {"FINISHED"}
-    assert running() is session and session.recording is not None
+    assert running() is session and session.recorder.recording is not None
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["First"]
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["First", "Second"]
@@ -103,9 +103,9 @@ def test_undoing_the_start_of_the_puppet_while_recording_lists_the_take(session,
 
 def test_a_recording_is_found_in_its_own_file_and_not_listed_in_another(session, takes, tmp_path):
     assert bpy.ops.facemime.record_take(name="Left") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 10)
+    wait_for(lambda: session.recorder.recording.frames > 10)
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    assert session.recording.closed and Session.current is None
+    assert session.recorder.recording.closed and Session.current is None
     assert not len(bpy.context.scene.facemime_takes.items)
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "project.blend"))
     assert bpy.ops.facemime.find_takes() == {"FINISHED"}
@@ -114,7 +114,7 @@ def test_a_recording_is_found_in_its_own_file_and_not_listed_in_another(session,
 
 def test_a_recording_is_listed_if_another_file_cannot_be_opened(session, takes, tmp_path):
     assert bpy.ops.facemime.record_take(name="Kept") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 3)
+    wait_for(lambda: session.recorder.recording.frames > 3)
     (tmp_path / "broken.blend").write_bytes(b"BLENDER-v405" + bytes(100))
     with pytest.raises(RuntimeError):
         bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "broken.blend"))
@@ -140,7 +140,7 @@ def test_a_recording_that_cannot_start_leaves_no_thread(session, takes, tmp_path
     before = threading.active_count()
     with pytest.raises(RuntimeError, match="Cannot write"):
         bpy.ops.facemime.record_take()
-    assert threading.active_count() == before and session.recording is None
+    assert threading.active_count() == before and session.recorder.recording is None
 
 
 def test_recording_needs_a_head():
@@ -153,7 +153,7 @@ def test_recording_starts_the_puppet_first(take, takes):
     add_head(bpy.context)
     assert bpy.ops.facemime.record_take(name="At Once") == {"FINISHED"}
     session = Session.current
-    wait_for(lambda: session.recording.frames > 3)
+    wait_for(lambda: session.recorder.recording.frames > 3)
     session.close()
     attend()
     assert [line.name for line in takes.items] == ["At_Once"]
@@ -170,7 +170,7 @@ def test_an_error_of_the_start_is_reported_when_recording(takes):
 def rerecord(**options) -> None:
     """Re-record a range, with the ticks of the timer."""
     assert bpy.ops.facemime.rerecord_take(lead=0.05, **options) == {"FINISHED"}
-    wait_for(lambda: attend() or running().punch_in is None)
+    wait_for(lambda: attend() or running().recorder.punch_in is None)
 
 
 def test_a_range_is_re_recorded_and_the_rest_of_the_take_is_kept(session, imported, takes):
@@ -185,13 +185,13 @@ def test_a_range_is_re_recorded_and_the_rest_of_the_take_is_kept(session, import
     np.testing.assert_array_equal(after.landmarks[new], before.landmarks[old])
     part, new_part = (take.landmarks[(take.times > 0.55) & (take.times < 1.05)] for take in (before, after))
     assert len(new_part) > 0 and not np.array_equal(part, new_part)
-    assert session.recording is None and bpy.context.scene.sync_mode == "NONE"
+    assert session.recorder.recording is None and bpy.context.scene.sync_mode == "NONE"
 
 
 def test_an_interrupted_re_recording_keeps_the_take_and_lists_the_recorded_part(session, imported, takes):
     assert bpy.ops.facemime.rerecord_take(start=1, end=1000, lead=0.0) == {"FINISHED"}
     assert not bpy.ops.facemime.rerecord_take.poll()
-    wait_for(lambda: attend() or (session.recording is not None and session.recording.frames > 5))
+    wait_for(lambda: attend() or (session.recorder.recording is not None and session.recorder.recording.frames > 5))
     session.close()
     attend()
     assert [line.name for line in takes.items] == ["First", "Insert"] and takes.items[0].path == "//First.facetake"
@@ -211,7 +211,7 @@ def test_the_video_is_kept_beside_the_take_and_plays_beside_the_head_in_sync(fps
     head = add_head(bpy.context)
     session = start_session(scene, [head])
     assert bpy.ops.facemime.record_take(name="Seen") == {"FINISHED"}
-    wait_for(lambda: session.recording.frames > 40)
+    wait_for(lambda: session.recorder.recording.frames > 40)
     bpy.ops.facemime.record_take()
     session.close()
     take, video = takes_store.read(takes.items[0]), tmp_path / "takes" / "Seen.mkv"

@@ -131,7 +131,7 @@ def test_a_recorded_phone_bakes_to_the_sent_values(phone, takes):
     takes.countdown = "0"
     start()
     assert bpy.ops.facemime.record_take(name="Phone") == {"FINISHED"}
-    ticks_until(lambda: running().recording.frames > 40)
+    ticks_until(lambda: running().recorder.recording.frames > 40)
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     bpy.ops.facemime.stop_puppet()
     take = takes_store.read(takes.items[0])
@@ -329,7 +329,7 @@ def test_two_senders_are_recorded_as_two_takes_at_the_same_times(phones, takes):
     ticks_until(lambda: min(jaws(heads)) > 1e-4 and len(running().worker.source.senders) == 2)
     takes.countdown = "0"
     assert bpy.ops.facemime.record_take(name="Scene") == {"FINISHED"}
-    ticks_until(lambda: running().recording.frames > 30)
+    ticks_until(lambda: running().recorder.recording.frames > 30)
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     bpy.ops.facemime.stop_puppet()
     recorded = {item.name: takes_store.read(item) for item in takes.items}

@@ -60,7 +60,7 @@ def test_panels_and_menus_translate_what_they_show_in_the_context(prepare):
     for cls in CLASSES:
         drawn = issubclass(cls, (bpy.types.Panel, bpy.types.Menu))
         if drawn and (getattr(cls, "poll", None) is None or cls.poll(bpy.context)):
-            cls.draw(SimpleNamespace(layout=layout), bpy.context)
+            cls.draw(SimpleNamespace(layout=layout, entries=getattr(cls, "entries", ())), bpy.context)
     assert layout.astray == []
 
 

@@ -57,7 +57,7 @@ def test_a_browser_gets_the_running_puppet(viewer):
     add_head(bpy.context)
     start()
     some_frames()
-    server = running().viewer
+    server = running().displays.viewer
     with connect(server.address.replace("http", "ws", 1) + "stream", open_timeout=PATIENCE) as page:
         ticks_until(lambda: server.viewers == 1)
         scene = json.loads(page.recv(timeout=PATIENCE))
@@ -77,16 +77,16 @@ def test_the_viewer_starts_and_stops_during_a_puppet_at_the_same_address(viewer)
     viewer.enabled = False
     start()
     tick()
-    assert running().viewer is None
+    assert running().displays.viewer is None
     assert not bpy.ops.facemime.open_viewer.poll()
     viewer.enabled = True
-    ticks_until(lambda: running().viewer is not None)
-    secret = running().viewer.address.split("/")[3]
+    ticks_until(lambda: running().displays.viewer is not None)
+    secret = running().displays.viewer.address.split("/")[3]
     viewer.enabled = False
-    ticks_until(lambda: running().viewer is None)
+    ticks_until(lambda: running().displays.viewer is None)
     viewer.enabled = True
-    ticks_until(lambda: running().viewer is not None)
-    assert running().viewer.address.split("/")[3] == secret
+    ticks_until(lambda: running().displays.viewer is not None)
+    assert running().displays.viewer.address.split("/")[3] == secret
     assert bpy.ops.facemime.open_viewer.poll()
     bpy.ops.facemime.stop_puppet()
 
@@ -110,7 +110,7 @@ def test_an_error_of_the_viewer_during_a_puppet_turns_only_the_viewer_off(viewer
     tick()
     viewer.certificate = "/none.pem"
     ticks_until(lambda: not viewer.enabled)
-    assert running() is not None and running().viewer is None
+    assert running() is not None and running().displays.viewer is None
     bpy.ops.facemime.stop_puppet()
 
 

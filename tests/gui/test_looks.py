@@ -141,7 +141,7 @@ def test_every_state_of_the_panels_is_drawn_without_an_error(dressed, request):
     dressed.open_panel("FACEMIME_PT_puppet")
     shot("running")
     dressed.press("bpy.ops.facemime.record_take")
-    blender.wait_for("Session.current.recording is not None and Session.current.recording.frames > 10")
+    blender.wait_for("getattr(Session.current.recorder.recording, 'frames', 0) > 10")
     shot("recording")
     dressed.press("bpy.ops.facemime.record_take")
     stop(dressed)

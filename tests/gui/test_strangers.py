@@ -52,10 +52,10 @@ def import_character(blender: Blender, name: str) -> None:
 def record_preview_bake_and_export(blender: Blender, sidebar: Sidebar, output: Path) -> None:
     """Record, then follow the box: preview, bake, export."""
     sidebar.press("bpy.ops.facemime.record_take(")
-    blender.wait_for("Session.current.recording is not None and Session.current.recording.frames > 20")
+    blender.wait_for("getattr(Session.current.recorder.recording, 'frames', 0) > 20")
     blender.shot("recording")
     sidebar.press("bpy.ops.facemime.record_take(")
-    blender.wait_for("len(bpy.context.scene.facemime_takes.items) == 1 and Session.current.recording is None")
+    blender.wait_for("len(bpy.context.scene.facemime_takes.items) == 1 and Session.current.recorder.recording is None")
     blender.redraw()
     blender.shot("recorded")
     sidebar.find("bpy.ops.facemime.trim_take(")

@@ -24,7 +24,7 @@ panel.bl_options, panel.bl_order = set(), -1
 bpy.utils.register_class(panel)
 """
 """Switches it on for the whole network, where the panel shows a code, and opens the panel on top."""
-_SERVER = "__import__('bl_ext.user_default.facemime.operators.puppet', fromlist=['running']).running().viewer"
+_SERVER = "__import__('bl_ext.user_default.facemime.operators.puppet', fromlist=['running']).running().displays.viewer"
 
 
 @pytest.fixture(scope="module")

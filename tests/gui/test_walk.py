@@ -201,7 +201,7 @@ def test_a_take_is_recorded_shown_edited_and_baked_by_clicks(blender, sidebar):
     sidebar.open_panel("FACEMIME_PT_takes")
     blender.do(f"from {MODULE}.settings import takes_store as store")
     sidebar.press("bpy.ops.facemime.record_take")
-    blender.wait_for("Session.current.recording is not None and Session.current.recording.frames > 40")
+    blender.wait_for("getattr(Session.current.recorder.recording, 'frames', 0) > 40")
     blender.shot("recording")
     sidebar.press("bpy.ops.facemime.record_take")
     blender.wait_for("len(bpy.context.scene.facemime_takes.items) == 1")
@@ -213,7 +213,7 @@ def test_a_take_is_recorded_shown_edited_and_baked_by_clicks(blender, sidebar):
     # A range that a slow machine does not finish before Escape is pressed.
     blender.do("s = bpy.context.scene; s.use_preview_range, s.frame_preview_start, s.frame_preview_end = True, 9, 9999")
     confirm(sidebar, "bpy.ops.facemime.rerecord_take")
-    blender.wait_for("Session.current.recording is not None and Session.current.recording.frames > 5")
+    blender.wait_for("getattr(Session.current.recorder.recording, 'frames', 0) > 5")
     stop(sidebar)
     blender.do("bpy.context.scene.use_preview_range = False")
     blender.wait_for("len(bpy.context.scene.facemime_takes.items) == 2")

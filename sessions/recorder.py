@@ -1,0 +1,164 @@
+"""The recordings of a live session: at once, after a countdown, or over a range of a take."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from time import perf_counter
+
+import bpy
+
+from ..blender.messages import show_error
+from ..blender.undo import push_undo
+from ..core.errors import FacemimeError
+from ..core.live.worker import LiveWorker
+from ..settings.takes_store import add, is_listed
+from .calibrating import signal
+from .countdown import DelayedRecording
+from .punch_in import PunchIn
+from .recording import Recording
+from .session import Session
+
+
+class Recorder:
+    """Records a session, one take or range at a time, and adds what was recorded to the list of its scene.
+
+    Attributes
+    ----------
+    recording : Recording or None
+        The running recording, or one that has ended and is not in the list yet.
+    delayed : DelayedRecording or None
+        The recording that starts after a countdown.
+    punch_in : PunchIn or None
+        The range that is being re-recorded.
+    """
+
+    def __init__(self, session: Session, worker: LiveWorker) -> None:
+        self.recording: Recording | None = None
+        self.delayed: DelayedRecording | None = None
+        self.punch_in: PunchIn | None = None
+        self._session, self._worker = session, worker
+        self._recorded: list[tuple[str, Path]] = []
+        self._listed: list[tuple[str, Path]] = []
+
+    @property
+    def closed(self) -> bool:
+        """Whether the session has ended."""
+        return self._session.closed
+
+    @property
+    def pending(self) -> bool:
+        """Whether there is a recording that is not in the list yet, or a range to be re-recorded."""
+        return self.recording is not None or self.punch_in is not None
+
+    def start(self, scene: bpy.types.Scene, name: str) -> Recording:
+        """Record everything that is tracked from now on, for the list of a scene; `name` is the base of the file name.
+
+        Raises
+        ------
+        FacemimeError
+            If there is a recording already, or the file cannot be created.
+        """
+        self._require_none()
+        heads = ["" if shown.gone else shown.obj.name for shown in self._session.heads]
+        self.recording = Recording(self._worker, scene, name, heads)
+        self._session.attend_later()
+        return self.recording
+
+    def start_after(self, countdown: float, scene: bpy.types.Scene, name: str) -> None:
+        """Start recording after a countdown in seconds, otherwise as `start`."""
+        self._require_none()
+        if countdown > 0.0:
+            self.delayed = DelayedRecording(perf_counter() + countdown, scene.name, name)
+        else:
+            self.start(scene, name)
+
+    def cancel_countdown(self) -> bool:
+        """Cancel the countdown of a recording, and return whether there was one."""
+        counting, self.delayed = self.delayed is not None, None
+        return counting
+
+    def stop(self) -> None:
+        """Stop the recording, and add the take to the list.
+
+        Raises
+        ------
+        FacemimeError
+            If the end of the file cannot be written, or the file cannot be read.
+        """
+        recording = self.recording
+        assert recording is not None
+        try:
+            recording.stop()
+        finally:
+            self._add_to_list()
+
+    def rerecord(
+        self, scene: bpy.types.Scene, take: str, start: float, end: float, *, lead: float, blend: float
+    ) -> None:
+        """Re-record a range of a take; the parameters are those of `PunchIn`.
+
+        Raises
+        ------
+        FacemimeError
+            If there is a recording already, or the range is empty.
+        """
+        self._require_none()
+        self.punch_in = PunchIn(scene, take, start, end, lead=lead, blend=blend)
+        self._session.attend_later()
+
+    def step(self) -> None:
+        """Start the recording whose countdown has ended."""
+        if self.delayed is None or not self.delayed.due:
+            return
+        delayed, self.delayed = self.delayed, None
+        if delayed.scene in bpy.data.scenes and self.recording is None:
+            self.start(bpy.data.scenes[delayed.scene], delayed.name)
+            signal()
+
+    def attend(self) -> None:
+        """Continue with the range that is being re-recorded, and add a recording that has ended to the list."""
+        for step in (self._continue_punch_in, self._add_to_list):
+            try:
+                step()
+            except FacemimeError as error:
+                show_error(str(error))
+
+    def note_listed(self) -> None:
+        """Note which recordings are in the list, before an undo."""
+        self._listed = [(name, path) for name, path in self._recorded if _lists(name, path)]
+
+    def list_again(self) -> None:
+        """List the recordings again that an undo has dropped: what was performed is not a step to undo."""
+        for name, path in self._listed:
+            if not _lists(name, path) and (scene := bpy.data.scenes.get(name)) is not None:
+                add(scene, path)
+
+    def _require_none(self) -> None:
+        if self.recording is not None:
+            raise FacemimeError("A take is already being recorded. Stop it first.")
+
+    def _add_to_list(self) -> None:
+        """Add the recording to the list if it has ended."""
+        recording = self.recording
+        if recording is None or recording.running:
+            return
+        self.recording = None
+        if listed := recording.add_to_list():
+            self._recorded += listed
+            bpy.context.window_manager.facemime.recorded = listed[-1][1].stem
+            push_undo("Record Take")
+
+    def _continue_punch_in(self) -> None:
+        punch_in, self.punch_in = self.punch_in, None
+        if punch_in is None:
+            return
+        if punch_in.step(self):
+            self.punch_in = punch_in
+        else:
+            push_undo("Re-Record Range")
+
+
+def _lists(name: str, path: Path) -> bool:
+    """Return whether the scene of that name has the take of a file in its list."""
+    scene = bpy.data.scenes.get(name)
+    return scene is not None and is_listed(scene, path)
