@@ -17,11 +17,13 @@ class _OfViewer(OperatorMixin):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet with a viewer."""
-        return require_puppet(cls) and require(cls, required_puppet().viewer is not None, "Enable the viewer first")
+        return require_puppet(cls) and require(
+            cls, required_puppet().displays.viewer is not None, "Enable the viewer first"
+        )
 
 
 def _address() -> str:
-    viewer = required_puppet().viewer
+    viewer = required_puppet().displays.viewer
     assert viewer is not None, "poll requires it"
     return viewer.address
 

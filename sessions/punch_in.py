@@ -21,19 +21,14 @@ from .recording import Recording
 class Recordable(Protocol):
     """What records a live session."""
 
-    closed: bool
     recording: Recording | None
 
-    def start(self, scene: bpy.types.Scene, name: str) -> Recording:
-        """Start a recording for the list of `scene`.
+    @property
+    def closed(self) -> bool:
+        """Whether the session has ended."""
 
-        Parameters
-        ----------
-        scene : bpy.types.Scene
-            Scene whose list has the take.
-        name : str
-            Name of the new take.
-        """
+    def start(self, scene: bpy.types.Scene, name: str) -> Recording:
+        """Start a recording for the list of `scene`; `name` is the base of the file name."""
 
 
 class PunchIn:
