@@ -26,7 +26,7 @@ ESC = SimpleNamespace(type="ESC", value="PRESS", ctrl=False, oskey=False, mouse_
 def beeps(monkeypatch):
     """Times at which a sound was played."""
     heard = []
-    monkeypatch.setattr("facemime.sessions.live.beep", lambda: heard.append(time.perf_counter()))
+    monkeypatch.setattr("facemime.sessions.calibrating.beep", lambda: heard.append(time.perf_counter()))
     return heard
 
 

@@ -11,7 +11,7 @@ from facemime.blender.heads.built_in import add_head
 from facemime.core.live.sources import TakePlayer
 from facemime.core.live.worker import LiveWorker
 from facemime.core.takes.neutral import calibrate
-from facemime.sessions import live
+from facemime.sessions import calibrating
 from facemime.settings.performers import read_calibration, stored_performers, write_calibration
 from tests.helpers.live_ticks import start, ticks_until
 from tests.helpers.takes import performance
@@ -82,7 +82,7 @@ def test_resetting_forgets_the_face_in_the_session_and_in_the_file(settings):
 
 
 def test_what_a_camera_teaches_about_the_performer_is_not_written_to_the_file(settings, take, monkeypatch):
-    monkeypatch.setattr(live, "_KEEPING", 0.0)
+    monkeypatch.setattr(calibrating, "_KEEPING", 0.0)
     monkeypatch.setattr(LiveWorker, "learnt", property(lambda _: NEUTRAL))
     monkeypatch.setattr("facemime.sessions.start.open_source", lambda _: TakePlayer(take, "camera", loop=True))
     settings.source.kind = "CAMERA"

@@ -95,7 +95,7 @@ def test_undoing_the_start_of_the_puppet_while_recording_lists_the_take(session,
     bpy.ops.ed.undo_push(message="before")
     again = start_session(bpy.context.scene, [bpy.data.objects["Facemime Head"]])
     assert bpy.ops.facemime.record_take(name="Undone") == {"FINISHED"}
-    wait_for(lambda: again.recording.frames > 3)
+    wait_for(lambda: again.recorder.recording.frames > 3)
     assert bpy.ops.ed.undo() == {"FINISHED"} and running() is None
     attend()
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["Undone"] and Session.current is None
