@@ -109,13 +109,7 @@ def check_curves(owner: bpy.types.ID) -> None:
 
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:
-    """Remove the curves of `owner` whose data path starts with `prefix`.
-
-    Parameters
-    ----------
-    owner : bpy.types.ID
-    prefix : str
-    """
+    """Remove the curves of `owner` whose data path starts with `prefix`."""
     fcurves = curves_in(owner.animation_data)
     for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path.startswith(prefix)]:
         fcurves.remove(fcurve)

@@ -118,11 +118,6 @@ def pointed_to(owner: bpy.types.Object, obj: bpy.types.Object | None) -> bpy.typ
 
     Custom properties of a library override point to objects of the library again when the file is opened. They mean the
     overrides of these that belong to the same character, if there are any.
-
-    Parameters
-    ----------
-    owner : bpy.types.Object
-    obj : bpy.types.Object or None
     """
     if not isinstance(obj, bpy.types.Object) or not _is_foreign(owner, obj):
         return obj
@@ -151,8 +146,6 @@ def set_part(obj: bpy.types.Object, part: Part, of: NDArray[np.bool_]) -> None:
 
     Parameters
     ----------
-    obj : bpy.types.Object
-    part : Part
     of : (V,) bool
         The vertices.
     """
@@ -198,8 +191,6 @@ def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], 
     ----------
     head : bpy.types.Object
         A mesh with landmarks.
-    part : Part
-        The part.
     """
     to_head = rest_matrix(head).inverted_safe()
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)], 0
@@ -250,7 +241,6 @@ def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer[Any]]) -> None:
 
     Parameters
     ----------
-    mesh : bpy.types.Mesh
     kinds : (V,) array of int
         `Part` of each vertex. If all are skin, nothing is stored.
     """
@@ -273,14 +263,7 @@ def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBon
 
 
 def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones: FaceBones) -> None:
-    """Store the bones that follow the pose of a head.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-    armature : bpy.types.Object or None
-    bones : FaceBones
-    """
+    """Store the bones that follow the pose of a head."""
     for name in (ARMATURE_PROPERTY, BONES_PROPERTY):
         if name in head:
             del head[name]

@@ -19,12 +19,7 @@ def collections_in(place: bpy.types.LayerCollection) -> Iterator[bpy.types.Layer
 
 
 def show(objects: Sequence[bpy.types.Object]) -> bool:
-    """Show objects in the view layer from now on, with the collections that have them; return whether some were hidden.
-
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
-    """
+    """Show objects in the view layer, with the collections that have them, and return whether some were hidden."""
     layer, wanted = bpy.context.view_layer, [obj for obj in objects if not obj.visible_get()]
     if not wanted:
         return False
@@ -45,10 +40,6 @@ def revealed(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Make objects visible and selectable in the view layer for a while, with the collections that have them.
 
     Blender evaluates and selects only what is visible. Animation and drivers that hide an object are muted.
-
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
     """
     layer, scene = bpy.context.view_layer, bpy.context.scene
     wanted = set(objects)
@@ -79,11 +70,8 @@ def set_for_now(stack: ExitStack, owner: Any, name: str, value: Any) -> None:
 
     Parameters
     ----------
-    stack : contextlib.ExitStack
-    owner : bpy_struct
     name : str
         Name of the property.
-    value
     """
     before = getattr(owner, name)
     if before != value:

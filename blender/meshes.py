@@ -103,7 +103,6 @@ def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
 
     Parameters
     ----------
-    mesh : bpy.types.Mesh
     vertices : (V, 3) float32
         Head frame.
     """
@@ -178,7 +177,6 @@ def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
 
     Parameters
     ----------
-    mesh : bpy.types.Mesh
     name : str
         Name of the property.
 
@@ -200,7 +198,6 @@ def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer[Any]]) -
 
     Parameters
     ----------
-    mesh : bpy.types.Mesh
     landmarks : (66,) array of int
         Vertex indices.
 
@@ -245,13 +242,7 @@ def read_selection(mesh: bpy.types.Mesh) -> GreedySelection | None:
 
 
 def write_selection(mesh: bpy.types.Mesh, selection: GreedySelection | None) -> None:
-    """Store the selected control points with `mesh`; None stands for all landmarks.
-
-    Parameters
-    ----------
-    mesh : bpy.types.Mesh
-    selection : GreedySelection or None
-    """
+    """Store the selected control points with `mesh`; None stands for all landmarks."""
     if selection is not None:
         mesh[SELECTION_PROPERTY] = to_json(selection)
     elif SELECTION_PROPERTY in mesh:
@@ -273,8 +264,6 @@ def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    obj : bpy.types.Object
-        A mesh.
     name : str
         Name of a vertex group.
     """
@@ -302,7 +291,6 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    obj : bpy.types.Object
     part : slice
         Vertices to read.
 
@@ -338,7 +326,6 @@ def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating[Any]]) -> 
 
     Parameters
     ----------
-    obj : bpy.types.Object
     weights : (3, V) array
         Weights of the upper, middle and lower region.
 

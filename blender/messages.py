@@ -48,8 +48,6 @@ class Templates:
 
         Parameters
         ----------
-        message : str
-            In English.
         lookup : callable
             Returns the translation of a text or template, or the text itself if it has not been translated.
 
@@ -103,8 +101,6 @@ def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
 
     Parameters
     ----------
-    message : str
-        In English.
     lookup : callable, optional
         `interface` for labels; by default as for reports. Both respect the user's preferences.
     """

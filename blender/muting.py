@@ -22,13 +22,7 @@ _SHOWN = 3
 
 
 def animated_paths(owner: bpy.types.ID, paths: Iterable[str]) -> list[str]:
-    """Return those of the data paths that have animation or a driver that Facemime did not make and that is not muted.
-
-    Parameters
-    ----------
-    owner : bpy.types.ID
-    paths : iterable of str
-    """
+    """Return those of the data paths whose animation or driver is neither muted nor made by Facemime."""
     taken = driven_paths(owner) | keyed_paths(owner)
     return [path for path in paths if path in taken and not path.startswith(_KEYS)]
 
@@ -152,7 +146,6 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
 
     Parameters
     ----------
-    owner : bpy.types.ID
     paths : collection of str, optional
         Data paths that are moved; all by default.
     """
@@ -173,14 +166,7 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
 
 
 def mute_for_now(stack: ExitStack, owner: bpy.types.ID, paths: Collection[str]) -> None:
-    """Mute the curves of the action and the drivers of some data paths until a stack ends.
-
-    Parameters
-    ----------
-    stack : contextlib.ExitStack
-    owner : bpy.types.ID
-    paths : collection of str
-    """
+    """Mute the curves of the action and the drivers of some data paths until a stack ends."""
     data = owner.animation_data
     playing = () if data is None else (*curves_in(data), *data.drivers)
     for curve in [curve for curve in playing if curve.data_path in paths and not curve.mute]:

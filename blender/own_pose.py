@@ -67,7 +67,6 @@ def hold_own(owner: Posable, *, animated: bool = False) -> None:
 
     Parameters
     ----------
-    owner : bpy.types.Object or bpy.types.PoseBone
     animated : bool
         Whether the pose includes what the user's animation gives it now; what is written is otherwise added to that.
     """
@@ -92,7 +91,6 @@ def move_own(owner: Posable, values: Mapping[tuple[str, int], float]) -> None:
 
     Parameters
     ----------
-    owner : bpy.types.Object or bpy.types.PoseBone
     values : mapping
         By data path and array index; other channels stay.
     """
@@ -156,7 +154,6 @@ def write_rotation(owner: Posable, rotation: Matrix) -> None:
 
     Parameters
     ----------
-    owner : bpy.types.Object or bpy.types.PoseBone
     rotation : (3, 3) mathutils.Matrix
         In the space of the channels.
     """

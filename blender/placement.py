@@ -31,11 +31,8 @@ def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector)
 
     Parameters
     ----------
-    context : bpy.types.Context
     obj : bpy.types.Object
         At the origin of the scene.
-    place : mathutils.Vector
-        Preferred location.
     """
     context.view_layer.update()
     own = _box(obj)
@@ -76,10 +73,8 @@ def is_seen_by_camera(context: bpy.types.Context, place: NDArray[np.float64], ra
 
     Parameters
     ----------
-    context : bpy.types.Context
     place : (3,) array
         Its centre.
-    radius : float
     """
     scene, point = context.scene, Vector(place.tolist())
     camera = scene.camera

@@ -64,11 +64,6 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
     Reading all weights of a dense mesh takes about 0.1 s, as Blender returns them one by one; a slice takes about 2 ms.
     Faces count as unchanged if their corners are.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-    rig : HeadRig
-
     Yields
     ------
     bool
@@ -106,7 +101,6 @@ def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating[Any]]) -
 
     Parameters
     ----------
-    obj : bpy.types.Object
     landmarks : (66, 3) array
         Positions in the head frame, which distinguish the left eye of a mesh from the right one.
 

@@ -40,10 +40,6 @@ def show_colour_images() -> None:
 class ShownColours:
     """The colours of some meshes as viewports show them in Solid shading, until `revert`.
 
-    Parameters
-    ----------
-    meshes : iterable of bpy.types.Mesh
-
     Attributes
     ----------
     kind : {"TEXTURE", "VERTEX", ""}

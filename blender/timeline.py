@@ -50,7 +50,6 @@ def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     start : float
         Frame at 0 s.
     """
@@ -62,8 +61,6 @@ def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> floa
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-    frame : float
     start : float
         Frame at 0 s.
     """

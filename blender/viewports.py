@@ -38,7 +38,6 @@ def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | Non
 
     Parameters
     ----------
-    context : bpy.types.Context
     x, y : int
         Pixels from the lower left corner of the window.
 
@@ -92,9 +91,6 @@ def is_hidden_by_others(
 
     Parameters
     ----------
-    context : bpy.types.Context
-    seen : Viewport
-        Orthographic.
     points : (N, 3) array
         Points of a surface in the world.
     own : collection of bpy.types.Object
@@ -130,13 +126,7 @@ def shows_overlays(context: bpy.types.Context) -> bool:
 
 
 def show_alone(context: bpy.types.Context, own: Collection[bpy.types.Object]) -> None:
-    """Show some objects and the lights in the Local View of the viewport in use; one of them has to be selected.
-
-    Parameters
-    ----------
-    context : bpy.types.Context
-    own : collection of bpy.types.Object
-    """
+    """Show some objects and the lights in the Local View of the viewport in use; one of them has to be selected."""
     bpy.ops.view3d.localview(frame_selected=False)
     assert isinstance(context.space_data, bpy.types.SpaceView3D)
     for obj in context.view_layer.objects:
@@ -162,7 +152,6 @@ def free_box(area: bpy.types.Area, region: bpy.types.Region) -> FreeBox:
 
     Parameters
     ----------
-    area : bpy.types.Area
     region : bpy.types.Region
         Its main region, or one of those of Quad View.
     """

@@ -53,8 +53,6 @@ def run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, se
         File for the landmarks.
     overlay : Path or None
         Folder for copies with the landmarks drawn on them.
-    settings : TrackingSettings
-        How faces are found.
     """
     paths = _images(images)
     with outputs_of(((output, {".npz"}),), {}):

@@ -208,8 +208,6 @@ def run_export(take: Path, output: Path, columns: str, rate: float) -> int:
 
     Parameters
     ----------
-    take : Path
-        The take.
     output : Path
         File for the table.
     columns : str

@@ -53,14 +53,7 @@ _CHECK_PANEL = "FACEMIME_PT_check"
 
 
 def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
-    """Check the active head, report the problems and show them in the panels; return whether there are any.
-
-    Parameters
-    ----------
-    operator : bpy.types.Operator
-        Reports the warnings.
-    context : bpy.types.Context
-    """
+    """Check the active head, report the problems and show them in the panels; return whether there are any."""
     findings = check_object(subject(context))
     keep_findings(context.window_manager, required_subject(context).name, findings)
     for finding in findings:

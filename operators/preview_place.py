@@ -32,8 +32,6 @@ def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[i
 
     Parameters
     ----------
-    area : bpy.types.Area
-    region : bpy.types.Region
     picture : (int, int)
         Height and width of the picture, pixels.
     """
@@ -54,8 +52,6 @@ def has_preview(screen: bpy.types.Screen, region: bpy.types.Region) -> bool:
 
     Parameters
     ----------
-    screen : bpy.types.Screen
-        The screen.
     region : bpy.types.Region
         A region of one of its areas.
     """

@@ -22,9 +22,6 @@ def report(operator: bpy.types.Operator, message: str, level: ReportLevel = "INF
 
     Parameters
     ----------
-    operator : bpy.types.Operator
-    message : str
-        In English.
     level : {"INFO", "WARNING", "ERROR"}
     """
     operator.report({level}, displayable(message))
@@ -32,13 +29,7 @@ def report(operator: bpy.types.Operator, message: str, level: ReportLevel = "INF
 
 @contextmanager
 def reporting_range(operator: bpy.types.Operator, scene: bpy.types.Scene) -> Iterator[None]:
-    """Report at the end if the frame range of a scene was changed.
-
-    Parameters
-    ----------
-    operator : bpy.types.Operator
-    scene : bpy.types.Scene
-    """
+    """Report at the end if the frame range of a scene was changed."""
     before = scene.frame_start, scene.frame_end
     yield
     if before != (scene.frame_start, scene.frame_end):
@@ -72,7 +63,6 @@ class ReportsErrors(OperatorMixin):
         ----------
         work : callable
             Takes the context and returns an operator's result; None stands for FINISHED.
-        context : bpy.types.Context
         """
         try:
             return work(context) or {"FINISHED"}
@@ -86,8 +76,6 @@ def require(operator: type[bpy.types.Operator], met: bool, message: str) -> bool
 
     Parameters
     ----------
-    operator : type of bpy.types.Operator
-    met : bool
     message : str
         In English: what to do first.
     """
@@ -103,8 +91,6 @@ def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.C
     ----------
     operator : type[bpy.types.Operator]
         The operator, which shows the reason.
-    context : bpy.types.Context
-        The context.
     """
     return require(operator, context.mode == "OBJECT", "Switch to Object Mode first")
 
@@ -116,8 +102,6 @@ def require_left_edit_mode(operator: type[bpy.types.Operator], context: bpy.type
     ----------
     operator : type[bpy.types.Operator]
         The operator, which shows the reason.
-    context : bpy.types.Context
-        The context.
     """
     return require(operator, context.mode != "EDIT_MESH", "Leave Edit Mode first")
 
@@ -165,8 +149,6 @@ def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context
     ----------
     operator : type[bpy.types.Operator]
         The operator, which shows the reason.
-    context : bpy.types.Context
-        The context.
     """
     return require(operator, bool(heads_in(context)), "Select a head, or add one in the Head panel")
 

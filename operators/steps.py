@@ -32,8 +32,6 @@ class ShowsProgress(OperatorMixin):
 
         Parameters
         ----------
-        context : bpy.types.Context
-            The context.
         interval : float
             Seconds between two ticks.
         """

@@ -21,7 +21,6 @@ class Calibrating:
 
     Parameters
     ----------
-    worker : LiveWorker
     on_calibrated : callable
         Called with the `Neutral` of each calibration that was requested.
     on_learnt : callable, optional

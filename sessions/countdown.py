@@ -22,11 +22,8 @@ class Calibration:
 
     Parameters
     ----------
-    worker : LiveWorker
     range_of : bool
         Calibrate the range of eyes and mouth rather than the neutral face.
-    countdown : float
-        Seconds.
     """
 
     def __init__(self, worker: LiveWorker, *, range_of: bool, countdown: float) -> None:

@@ -39,7 +39,6 @@ class PunchIn:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     take : str
         Path of the take, as in the list.
     start, end : float
@@ -73,11 +72,6 @@ class PunchIn:
 
     def step(self, recorder: Recordable) -> bool:
         """Continue, and return whether there is more to do; otherwise, and after an error, the playback is stopped.
-
-        Parameters
-        ----------
-        recorder : Recordable
-            Records the range.
 
         Raises
         ------

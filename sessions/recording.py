@@ -96,13 +96,7 @@ class Recording:
         return len(self._parts())
 
     def append(self, frame: LiveFrame, result: TrackResult) -> None:
-        """Add a frame. Called in the worker's thread, as are `flush` and `close`.
-
-        Parameters
-        ----------
-        frame : LiveFrame
-        result : TrackResult
-        """
+        """Add a frame. Called in the worker's thread, as are `flush` and `close`."""
         self._offset = frame.time if self._offset is None else self._offset
         part, time = self._part_of(frame), frame.time - self._offset
         if time < 0.0:

@@ -55,9 +55,6 @@ class TakeShow(Session):
     ----------
     scene : bpy.types.Scene
         Its settings and frame are followed.
-    objects : sequence of bpy.types.Object
-        The heads.
-    take : Take
 
     Attributes
     ----------

@@ -44,7 +44,6 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     objects : sequence of bpy.types.Object
         The heads to move.
 
@@ -132,11 +131,6 @@ def live_options(settings: FacemimeSettings) -> LiveOptions:
 
 def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
     """Apply the current settings of a scene to a running session; takes a few microseconds if nothing has changed.
-
-    Parameters
-    ----------
-    session : LiveSession
-    scene : bpy.types.Scene
 
     Raises
     ------

@@ -22,7 +22,6 @@ class TrackingSession(Session):
 
     Parameters
     ----------
-    video : Path
     face : (float, float), optional
         Face to track, as for `track_video`.
     settings : TrackingSettings, optional

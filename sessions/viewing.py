@@ -36,7 +36,6 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
 
     Parameters
     ----------
-    settings : FacemimeSettings
     objects : sequence of bpy.types.Object or None
         The heads, in the order of the session; None for one that was deleted.
 
@@ -61,7 +60,6 @@ def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -
 
     Parameters
     ----------
-    output : FacemimeOutput
     objects : sequence of bpy.types.Object
         The heads, in the order of the session.
 
@@ -118,11 +116,6 @@ def follow_viewer(session: LiveSession, settings: FacemimeSettings) -> None:
     """Start or stop the server of a running session if the settings ask for it.
 
     An error is shown, and switches the viewer off rather than ending the puppet.
-
-    Parameters
-    ----------
-    session : LiveSession
-    settings : FacemimeSettings
     """
     server = session.displays.viewer
     if server is not None and server.follow != (follow := (settings.rotation, settings.translation)):

@@ -22,13 +22,7 @@ def table_so_far(bake: FacemimeBake) -> KeyMap:
 
 
 def write_table(bake: FacemimeBake, table: KeyMap) -> None:
-    """Replace the rows and the name of the key mapping with those of `table`.
-
-    Parameters
-    ----------
-    bake : FacemimeBake
-    table : KeyMap
-    """
+    """Replace the rows and the name of the key mapping with those of `table`."""
     bake.table = table.name
     bake.rows.clear()
     for row in table.rows:

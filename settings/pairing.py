@@ -28,10 +28,6 @@ def listening_host(output: FacemimeOutput) -> str:
 def pairing_line(output: FacemimeOutput) -> str:
     """Return the line to paste on another computer.
 
-    Parameters
-    ----------
-    output : FacemimeOutput
-
     Raises
     ------
     SourceError
@@ -45,10 +41,6 @@ def pairing_line(output: FacemimeOutput) -> str:
 
 def open_paired_sender(output: FacemimeOutput) -> TlsSender:
     """Return the sender to paired computers.
-
-    Parameters
-    ----------
-    output : FacemimeOutput
 
     Raises
     ------

@@ -82,13 +82,7 @@ class FacemimeMemory(bpy.types.PropertyGroup):
 
 
 def keep_problem(context: bpy.types.Context, problem: str) -> None:
-    """Remember why a puppet could not start or was stopped, "" if it could, for the settings of the source as they are.
-
-    Parameters
-    ----------
-    context : bpy.types.Context
-    problem : str
-    """
+    """Remember, for the current settings of the source, why a puppet could not start or was stopped; "" if it could."""
     memory = context.window_manager.facemime
     memory.problem = displayable(problem)
     memory.problem_source = displayable(source_text(context.scene.facemime.source)) if problem else ""
@@ -107,10 +101,8 @@ def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Fi
 
     Parameters
     ----------
-    manager : bpy.types.WindowManager
     name : str
         Name of the object that was checked.
-    findings : list of Finding
     """
     memory = manager.facemime
     memory.checked = name

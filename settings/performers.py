@@ -50,11 +50,6 @@ def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
     """Remember `neutral` for the selected performer, or a new one, and return the performer's name.
 
     It is stored in the .blend file only if the user has asked for that.
-
-    Parameters
-    ----------
-    settings : FacemimeSettings
-    neutral : Neutral
     """
     if selected_performer(settings) is None:
         add_performer(settings)
@@ -71,7 +66,6 @@ def add_performer(settings: FacemimeSettings, name: str = "") -> None:
 
     Parameters
     ----------
-    settings : FacemimeSettings
     name : str, optional
     """
     taken = {performer.name for performer in settings.performers}

@@ -79,13 +79,7 @@ def preferences() -> FacemimePreferences:
 
 
 def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None:
-    """Draw the camera with a menu of those available, its resolution and frame rate.
-
-    Parameters
-    ----------
-    layout : bpy.types.UILayout
-    chosen : FacemimePreferences
-    """
+    """Draw the camera with a menu of those available, its resolution and frame rate."""
     row = layout.row(align=True)
     row.prop(chosen, "camera")
     row.menu("FACEMIME_MT_cameras", text="", icon="DOWNARROW_HLT")
@@ -96,13 +90,7 @@ def draw_camera(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None
 
 
 def draw_preview(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> None:
-    """Draw the preview switch and size.
-
-    Parameters
-    ----------
-    layout : bpy.types.UILayout
-    chosen : FacemimePreferences
-    """
+    """Draw the preview switch and size."""
     row = layout.row(heading="Preview", heading_ctxt=CONTEXT, align=True)
     row.prop(chosen, "preview", text="")
     size = row.row(align=True)

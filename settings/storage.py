@@ -66,7 +66,6 @@ def relative(path: Path, blend: str = "") -> str:
 
     Parameters
     ----------
-    path : Path
     blend : str
         Path of the .blend file; "" is the open one.
     """
@@ -84,7 +83,6 @@ def free_path(folder: Path, name: str, suffix: str) -> Path:
 
     Parameters
     ----------
-    folder : Path
     name : str
         Base of the file name, which is cleaned and numbered as needed.
     suffix : str

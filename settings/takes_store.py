@@ -41,8 +41,6 @@ def at(scene: bpy.types.Scene, place: int) -> FacemimeTake:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-        The scene.
     place : int
         Position in its list.
     """
@@ -62,7 +60,6 @@ def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> Facemim
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     path : Path
         File of the take.
     take : Take, optional
@@ -94,14 +91,7 @@ def _require_listable(path: Path) -> None:
 
 
 def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
-    """Write `take` to a new file, named after `name`, and add it to the list.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    take : Take
-    name : str
-    """
+    """Write `take` to a new file, named after `name`, and add it to the list."""
     path = new_path(name)
     save_take(take, path)
     return add(scene, path, take)
@@ -112,10 +102,6 @@ def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-        The scene.
-    take : Take
-        The take.
     name : str
         Name of the new line.
     """
@@ -128,13 +114,7 @@ def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
 
 
 def change(line: FacemimeTake, take: Take) -> None:
-    """Replace the take of `line` by `take` in a new file, so that undo finds the previous one.
-
-    Parameters
-    ----------
-    line : FacemimeTake
-    take : Take
-    """
+    """Replace the take of `line` by `take` in a new file, so that undo finds the previous one."""
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed, line.length = relative(path), None, _length(take)
@@ -164,7 +144,6 @@ def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
     ----------
     scene : bpy.types.Scene
         Its source is searched in addition to the folder of the take.
-    line : FacemimeTake
 
     Returns
     -------

@@ -60,7 +60,6 @@ def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BA
 
     Parameters
     ----------
-    settings : FacemimeSettings
     bake : BakeSettings, optional
         New shape keys by default.
     """
@@ -79,7 +78,6 @@ def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
 
     Parameters
     ----------
-    bake : FacemimeBake
     name : str
         Name of the take, after which a cache is named.
 
@@ -279,7 +277,6 @@ def viewer_settings(viewer: FacemimeViewer, token: str) -> ViewerSettings | None
 
     Parameters
     ----------
-    viewer : FacemimeViewer
     token : str
         The secret in the address.
 
@@ -312,7 +309,6 @@ def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, Po
 
     Parameters
     ----------
-    posing : FacemimePosing
     head : bpy.types.Object
         Its bones, or the head itself, follow the pose if no pose object is set.
 

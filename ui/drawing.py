@@ -63,8 +63,6 @@ def draw_lines(ends: NDArray[np.float64], colour: tuple[float, float, float, flo
     ----------
     ends : (N, 2, 2) array
         Two ends of each line.
-    colour : tuple of float
-        RGBA.
     """
     places = ends.reshape(-1, 2).astype(np.float32)
     _draw("LINES", places, np.tile(np.array(colour, dtype=np.float32), (len(places), 1)))
@@ -92,15 +90,8 @@ def draw_text(
 
     Parameters
     ----------
-    text : str
-        Translated.
     place : (float, float)
         Its left or, if `centred`, its middle; and its baseline.
-    size : float
-        Pixels.
-    colour : tuple of float
-        RGBA.
-    centred : bool
     """
     blf.size(_FONT, size)
     left = place[0] - (blf.dimensions(_FONT, text)[0] / 2 if centred else 0.0)
@@ -129,8 +120,6 @@ def draw_wrapped(text: str, place: tuple[float, float], size: float, width: floa
 
     Parameters
     ----------
-    text : str
-        Translated.
     place : (float, float)
         The middle and the baseline of the first line.
     size, width : float
@@ -146,7 +135,6 @@ def wrap(text: str, width: float) -> list[str]:
 
     Parameters
     ----------
-    text : str
     width : float
         Width of a line, pixels, at the font size that was set with `blf`.
 

@@ -82,8 +82,6 @@ def rimmed(
     Parameters
     ----------
     place : (2,) array
-    radius : float
-        Pixels.
     colour : (float, float, float)
         RGB.
     scale : float

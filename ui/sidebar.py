@@ -61,12 +61,8 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
 
     Parameters
     ----------
-    layout : bpy.types.UILayout
-    context : bpy.types.Context
     text : str
         In English; messages of `core` are translated by their templates.
-    icon : str
-        Icon before the first line.
     """
     column = layout.column(align=True)
     column.scale_y = 0.9
@@ -76,13 +72,7 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
 
 
 def draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the findings of the last check if it was of the active head, with buttons that fix them.
-
-    Parameters
-    ----------
-    layout : bpy.types.UILayout
-    context : bpy.types.Context
-    """
+    """Draw the findings of the last check if it was of the active head, with buttons that fix them."""
     memory = context.window_manager.facemime
     if memory.checked != required_subject(context).name:
         return
@@ -114,10 +104,8 @@ def draw_list(
 
     Parameters
     ----------
-    layout : bpy.types.UILayout
     kind : str
         Name of the UIList.
-    owner : bpy.types.PropertyGroup
     fields : (str, str)
         Its collection, and the index of the selected item.
     rows : int
@@ -138,13 +126,7 @@ def draw_list(
 
 
 def side_by_side(layout: bpy.types.UILayout, context: bpy.types.Context) -> bpy.types.UILayout:
-    """Return a row for related buttons, or a column if the sidebar is too narrow for a row.
-
-    Parameters
-    ----------
-    layout : bpy.types.UILayout
-    context : bpy.types.Context
-    """
+    """Return a row for related buttons, or a column if the sidebar is too narrow for a row."""
     return layout.column(align=True) if is_narrow(context) else layout.row(align=True)
 
 

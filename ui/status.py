@@ -23,14 +23,7 @@ _STAGES = {
 
 
 def draw_progress(layout: bpy.types.UILayout, session: TrackingSession) -> None:
-    """Draw how far a whole video has been tracked, and a button that stops.
-
-    Parameters
-    ----------
-    layout : bpy.types.UILayout
-        A row.
-    session : TrackingSession
-    """
+    """Draw how far a whole video has been tracked, and a button that stops."""
     text = _("{done} of {total} frames").format(done=session.done, total=session.total)
     split = layout.split(factor=0.6, align=True)
     split.progress(factor=session.done / max(session.total, 1), text=text, translate=False)

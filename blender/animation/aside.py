@@ -28,7 +28,6 @@ def set_aside(owner: bpy.types.ID, items: Iterable[Item]) -> None:
 
     Parameters
     ----------
-    owner : bpy.types.ID
     items : iterable of Item
         As the other functions here return them.
     """
@@ -92,13 +91,6 @@ def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> 
     """Return what the user's animation that is set aside would give some channels in a frame.
 
     Strips count at full influence, and add or replace. Drivers do not count.
-
-    Parameters
-    ----------
-    owner : bpy.types.ID
-    prefixes : sequence of str
-        Of the data paths.
-    frame : float
 
     Returns
     -------

@@ -39,8 +39,6 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
 
     Parameters
     ----------
-    obj : bpy.types.Object
-        The head.
     targets : mapping
         Objects or bones that follow the pose.
     new_keys, old_keys : bool
@@ -84,7 +82,6 @@ def check_range(take: Take, frames: NDArray[np.floating[Any]]) -> None:
 
     Parameters
     ----------
-    take : Take
     frames : (N,) array
         Its frames in the scene, increasing.
 
@@ -123,7 +120,6 @@ def bake_pose(
         The head, whose children are its eyes, teeth and tongue.
     targets : mapping
         "head", and optionally "eye_left" and "eye_right", which replace the eyes of `obj`.
-    motion : HeadMotion
     frames : (N,) array
         Frames of the keyframes.
     rotation, translation : bool
@@ -135,11 +131,6 @@ def bake_pose(
     keep : bool
         Whether other animation of bones is added to, and drivers are left, instead of muting them. That of objects'
         delta transforms is always added to: it is where the user placed them.
-
-    Returns
-    -------
-    list of Silenced
-        What was muted.
     """
     silenced = []
     angle, length = clean or (None, None)

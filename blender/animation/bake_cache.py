@@ -37,7 +37,6 @@ def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np
     ----------
     members : sequence of Member
         Meshes of the head.
-    motion : HeadMotion
     frames : (N,) array
         Frames of the motion in the scene, which may be fractional.
     path : Path
@@ -60,8 +59,6 @@ def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
     ----------
     path : Path
         Path of a cache.
-    obj : bpy.types.Object
-        Object whose name is added.
     """
     return path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
 
@@ -115,10 +112,6 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-        Its frame range is exported.
-    objects : sequence of bpy.types.Object
-        The head and its parts.
     path : Path
         File to write.
 

@@ -151,7 +151,6 @@ def bake_new_keys(
 
     Parameters
     ----------
-    members : sequence of Member
     basis : MotionBasis
         Displacements of the keys, and their values.
     frames, clean, nla
@@ -185,7 +184,6 @@ def bake_values(
 
     Parameters
     ----------
-    members : sequence of Member
     values : mapping
         Values of each key by its name, (N,).
     frames : (N,) array
@@ -198,11 +196,6 @@ def bake_values(
         Whether to use an NLA track.
     keep : bool
         Whether other animation of the keys is added to, and drivers are left, instead of muting them.
-
-    Returns
-    -------
-    list of Silenced
-        What was muted.
     """
     peaks = np.sqrt(np.square(offsets).sum(axis=2).max(axis=1, initial=0.0))
     curves = {}

@@ -50,10 +50,6 @@ def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
     """Return the clips of some data-blocks by name.
 
     A clip is what NLA tracks or actions of one name hold, as importers make them.
-
-    Parameters
-    ----------
-    owners : iterable of bpy.types.ID
     """
     owners, clips = list(owners), dict[str, Clip]()
     for owner in owners:
@@ -82,8 +78,6 @@ def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> N
     ----------
     clips : dict of str to Clip
         From `clips_of`.
-    name : str
-    owners : iterable of bpy.types.ID
 
     Raises
     ------

@@ -23,10 +23,6 @@ from .bake_keys import scaled_offsets, value_path
 def selected_for_export(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Select some objects and nothing else, whatever hides them; the first is active. All returns to what it was.
 
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
-
     Raises
     ------
     OutputError
@@ -58,10 +54,6 @@ def keys_as_shown(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Give the shape keys of some meshes the points that show what they do, all relative to the Basis.
 
     A muted key stays among them, with the value 0.
-
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
     """
     meshes = {mesh_of(obj): obj for obj in objects if obj.type == "MESH" and mesh_of(obj).shape_keys is not None}
     with ExitStack() as stack:

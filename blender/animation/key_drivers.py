@@ -26,8 +26,6 @@ def following_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> s
 
     Parameters
     ----------
-    keys : bpy.types.Key
-        Of the mesh.
     family : collection of bpy.types.Key
         Of all meshes of the head.
     """

@@ -177,7 +177,6 @@ class LiveHeadObject:
 
         Parameters
         ----------
-        frame : HeadFrame
         flat : sequence of (3 V,) float32, optional
             `prepare(frame)`, if it is already computed.
 

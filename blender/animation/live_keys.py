@@ -20,8 +20,6 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
 
     Parameters
     ----------
-    obj : bpy.types.Object
-        The head.
     choice : {"AUTOMATIC", "SKIN", "KEYS"}
         "AUTOMATIC" takes the keys of a character that has a known set of them; the built-in head's skin shows more.
     table : KeyMap, optional

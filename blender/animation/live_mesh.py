@@ -182,7 +182,6 @@ def clear_live(
 
     Parameters
     ----------
-    mesh : bpy.types.Mesh
     obj : bpy.types.Object, optional
         An object with that mesh, if known.
     rest : (V, 3) float32, optional

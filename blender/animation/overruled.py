@@ -22,7 +22,6 @@ def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: boo
 
     Parameters
     ----------
-    targets : iterable of PoseTarget
     rotation, translation : bool
         Whether they are rotated and moved.
     """

@@ -75,8 +75,6 @@ def keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, frame
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-    obj : bpy.types.Object
     frames : (N,) array
         Frames of the bake.
     """

@@ -115,17 +115,9 @@ def puppet_head(
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-    obj : bpy.types.Object
-        The head.
-    take : Take
     settings : PuppetSettings, optional
     targets : mapping, optional
         Objects or bones that follow the pose: "head" instead of `obj`, "eye_left" and "eye_right" instead of its eyes.
-
-    Returns
-    -------
-    PuppetReport
 
     Raises
     ------
@@ -186,17 +178,11 @@ def puppet_heads(
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     objects : sequence of bpy.types.Object
         The heads; the file of a cache is named after each.
-    take : Take
     settings : PuppetSettings, optional
     targets : mapping, optional
         Of the first head, as for `puppet_head`.
-
-    Returns
-    -------
-    list of PuppetReport
 
     Raises
     ------
@@ -215,8 +201,6 @@ def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets
 
     Parameters
     ----------
-    objects : sequence of bpy.types.Object
-    bake : BakeSettings
     targets : mapping, optional
         As for `puppet_heads`.
 
@@ -308,7 +292,6 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
 
     Parameters
     ----------
-    obj : bpy.types.Object
     table : KeyMap, optional
         By default the preset that fits best.
 

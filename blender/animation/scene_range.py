@@ -27,7 +27,6 @@ def start_frame(scene: bpy.types.Scene, choice: str) -> float:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     choice : {"first", "current", "scene"}
         As in `BakeSettings`.
     """
@@ -40,13 +39,10 @@ def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]], choice:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     frames : (N,) array
         Frames of the take's keyframes, increasing.
     choice : {"first", "current", "scene"}
         Where the take starts; a take that starts with the scene leaves the first frame of the range.
-    asked : bool
-        Whether the user wants it.
     """
     if not asked and not _is_free(scene):
         return

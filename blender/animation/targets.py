@@ -100,7 +100,6 @@ class PoseTarget:
 
         Parameters
         ----------
-        obj : bpy.types.Object
         bone : str
             Required for an armature, ignored for other objects.
         head : bpy.types.Object, optional
@@ -353,14 +352,7 @@ def _eye_strength(head: bpy.types.Object, target: PoseTarget, corners: IntArray)
 
 
 def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:
-    """Return the targets of the head's pose: `target` and, if that is the head itself, also its other objects.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-    target : PoseTarget
-        Of the head.
-    """
+    """Return the targets of the head's pose: `target` and, if that is the head itself, also its other objects."""
     if target.obj != head:
         return [target]
     objects = set(objects_of(head))

@@ -34,14 +34,7 @@ def mute_under(head: bpy.types.Object) -> int:
 
 
 def mute_disturbing(head: bpy.types.Object, motion: HeadMotion) -> list[Silenced]:
-    """Mute what animates shape keys of a head that move the same vertices as a bake, and return what that was.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-    motion : HeadMotion
-        What was baked.
-    """
+    """Mute what animates shape keys of a head that move the same vertices as a bake, and return what that was."""
     members, silenced = members_of(head), []
     family = family_keys(members)
     for member in members:

@@ -51,7 +51,6 @@ def attach(head: bpy.types.Object, parts: Mapping[str, bpy.types.Object]) -> Non
 
     Parameters
     ----------
-    head : bpy.types.Object
     parts : mapping of str to bpy.types.Object
         Children of it, by a key of `names.PART_OBJECTS`.
     """
@@ -96,7 +95,6 @@ def finish(left: Unfinished, known: set[int]) -> None:
 
     Parameters
     ----------
-    left : Unfinished
     known : set of int
         `session_uid` of the heads that were there before; absent parts of these were deleted by the user.
     """
@@ -114,12 +112,6 @@ def finish(left: Unfinished, known: set[int]) -> None:
 
 def hide_with_heads(layer: bpy.types.ViewLayer, hidden: Mapping[int, bool]) -> dict[int, bool]:
     """Hide parts with their heads in a view layer, and show them with those that are no longer hidden.
-
-    Parameters
-    ----------
-    layer : bpy.types.ViewLayer
-    hidden : mapping of int to bool
-        The previous result.
 
     Returns
     -------

@@ -85,7 +85,6 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     -------
     obj : bpy.types.Object
         The mesh with the skin of the face.
-    binding : Binding
 
     Raises
     ------
@@ -212,8 +211,6 @@ def proposed_weights(obj: bpy.types.Object, landmarks: IntArray) -> FloatArray:
 
     Parameters
     ----------
-    obj : bpy.types.Object
-        The head.
     landmarks : array
         Vertex of each landmark, (66,).
     """
@@ -262,8 +259,6 @@ def write_marks(mesh: bpy.types.Mesh, marks: dict[int, int]) -> None:
 
     Parameters
     ----------
-    mesh : bpy.types.Mesh
-        The mesh.
     marks : mapping of int to int
         Vertex of each marked point, by iBUG number.
     """
@@ -288,10 +283,8 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
     Parameters
     ----------
-    obj : bpy.types.Object
     landmark : int
         Index in the 66 landmarks.
-    vertex : int
 
     Raises
     ------
@@ -359,7 +352,6 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> Non
 
     Parameters
     ----------
-    obj : bpy.types.Object
     rotation : (3, 3) array
         In Blender's axes of the mesh.
 

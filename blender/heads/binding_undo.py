@@ -31,13 +31,7 @@ class _Bound:
 
 
 class FormerBinding:
-    """The landmarks, regions and parts of all meshes of a scene, and what was selected.
-
-    Parameters
-    ----------
-    context : bpy.types.Context
-        In Object Mode.
-    """
+    """The landmarks, regions and parts of all meshes of a scene, and what was selected."""
 
     def __init__(self, context: bpy.types.Context) -> None:
         context.view_layer.update()

@@ -77,7 +77,6 @@ def split_along(
 
     Parameters
     ----------
-    work : bmesh.types.BMesh
     line : list of bmesh.types.BMVert
         Consecutive vertices are joined by edges.
     closed : bool
@@ -103,15 +102,7 @@ def split_along(
 
 
 def move(work: bmesh.types.BMesh, vertex: bmesh.types.BMVert, by: Vector) -> None:
-    """Move a vertex by an offset in every shape key.
-
-    Parameters
-    ----------
-    work : bmesh.types.BMesh
-    vertex : bmesh.types.BMVert
-    by : Vector
-        Blender's axes.
-    """
+    """Move a vertex by an offset in every shape key."""
     vertex.co += by
     for key in work.verts.layers.shape.values():
         vertex[key] = vertex[key] + by

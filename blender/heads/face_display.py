@@ -22,7 +22,6 @@ class FaceDisplay:
 
     Parameters
     ----------
-    heads : iterable of bpy.types.Object
     bones : bool
         Whether bones are hidden, with the objects that are their shapes.
 

@@ -23,7 +23,6 @@ def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIM
 
     Parameters
     ----------
-    context : bpy.types.Context
     path : Path
         A `.tri` or `.obj` file; the modes of an `.egm` file next to it are imported as well.
     scale : float

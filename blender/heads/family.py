@@ -137,10 +137,6 @@ def _heads_at(obj: bpy.types.Object, heads: Sequence[bpy.types.Object]) -> list[
 def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
     """Return the object that leads to the character whose face is to be found, or None.
 
-    Parameters
-    ----------
-    context : bpy.types.Context
-
     Returns
     -------
     bpy.types.Object or None

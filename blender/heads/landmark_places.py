@@ -38,8 +38,6 @@ def landmark_places(
 
     Parameters
     ----------
-    obj : bpy.types.Object
-    depsgraph : bpy.types.Depsgraph
     view : (4, 4) array
         World to clip space: `perspective_matrix` of the region.
     size : tuple of int
@@ -87,7 +85,6 @@ def nearest_landmark(places: Places, pixel: tuple[float, float], reach: float = 
 
     Parameters
     ----------
-    places : Places
     pixel : (float, float)
         From the lower left corner of the region.
     reach : float

@@ -28,8 +28,6 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
     obj : bpy.types.Object
         A mesh of the character, to which marked vertices belong. Positions mark the mesh of the character that is
         nearest to them.
-    marks : mapping of int to Mark
-        By iBUG number.
 
     Raises
     ------

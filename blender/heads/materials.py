@@ -45,10 +45,8 @@ def plain_material(name: str, colour: tuple[float, float, float], roughness: flo
 
     Parameters
     ----------
-    name : str
     colour : (float, float, float)
         RGB, linear.
-    roughness : float
     """
     material = bpy.data.materials.new(name)
     if material.node_tree is None:

@@ -20,9 +20,6 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
 
     Parameters
     ----------
-    context : bpy.types.Context
-    obj : bpy.types.Object
-        The active head.
     region : int
         Index in `REGION_GROUPS`.
 
@@ -62,7 +59,6 @@ def mirror_painted(obj: bpy.types.Object, source: Side) -> None:
 
     Parameters
     ----------
-    obj : bpy.types.Object
     source : {"left", "right"}
         The half that is kept; left and right are the head's own.
     """
@@ -76,7 +72,6 @@ def smooth_painted(obj: bpy.types.Object, repeat: int) -> None:
 
     Parameters
     ----------
-    obj : bpy.types.Object
     repeat : int
         Number of iterations.
     """

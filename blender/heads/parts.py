@@ -67,8 +67,6 @@ def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: 
 
     Parameters
     ----------
-    obj : bpy.types.Object
-        The mesh.
     others : array
         Whether each vertex belongs to another part than the skin, (V,).
     landmarks : array or None
@@ -256,8 +254,6 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
 
     Parameters
     ----------
-    head : bpy.types.Object
-        The head.
     armature : bpy.types.Object or None
         Its armature, or None.
     landmarks : array

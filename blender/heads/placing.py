@@ -35,8 +35,6 @@ class Placing:
 
     Parameters
     ----------
-    obj : bpy.types.Object
-        A mesh.
     asked : sequence of int
         iBUG numbers of the points to mark, in order; none if landmarks are to be moved.
     take_back : callable, optional
@@ -141,14 +139,7 @@ def marks_to_ask(wanted: Sequence[int] = ()) -> tuple[int, ...]:
 
 
 def place_of_mark(obj: bpy.types.Object, number: int) -> int | None:
-    """Return the vertex at which a point is expected: where the search has put it; None if there was no search.
-
-    Parameters
-    ----------
-    obj : bpy.types.Object
-    number : int
-        iBUG number.
-    """
+    """Return the vertex at which a point is expected: where the search has put it; None if there was no search."""
     return int(read_landmarks(obj)[from_ibug([number])[0]]) if is_head(obj) else None
 
 
@@ -159,9 +150,6 @@ def skin_under(
 
     Parameters
     ----------
-    obj : bpy.types.Object
-    depsgraph : bpy.types.Depsgraph
-    seen : Viewport
     pixel : (float, float)
         From the lower left corner of the region.
 

@@ -106,13 +106,7 @@ def setup_preview(
 
 
 def look_at_face(view: bpy.types.RegionView3D, obj: bpy.types.Object) -> None:
-    """Turn a viewport towards a head, straight in front of its face and close enough to place landmarks.
-
-    Parameters
-    ----------
-    view : bpy.types.RegionView3D
-    obj : bpy.types.Object
-    """
+    """Turn a viewport towards a head, straight in front of its face and close enough to place landmarks."""
     shown = face_view(obj)
     points = shown.points @ shown.axes
     middle = (points.min(axis=0) + points.max(axis=0)) / 2.0
@@ -132,7 +126,6 @@ def set_shading(scene: bpy.types.Scene, folds: float) -> None:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     folds : float
         Size of the folds that are shaded.
     """

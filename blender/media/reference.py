@@ -26,12 +26,8 @@ def add_reference(
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-    path : Path
-        The video.
     offset : float
         Time in the video at the frame `start` of the scene, seconds.
-    head : bpy.types.Object
     start : float
         Frame of the scene at 0 s of the take.
 

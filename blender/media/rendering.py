@@ -215,7 +215,6 @@ def set_rate(scene: bpy.types.Scene, fps: float) -> None:
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     fps : float
         Frames per second.
     """

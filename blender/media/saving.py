@@ -17,8 +17,6 @@ def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterato
 
     Parameters
     ----------
-    path : Path
-        The requested file.
     is_complete : callable
         Whether the file at a path has its end: Blender does not notice a disk that becomes full at the very end.
 

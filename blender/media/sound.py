@@ -17,7 +17,6 @@ def add_sound(scene: bpy.types.Scene, path: Path, frame: float) -> bpy.types.Str
 
     Parameters
     ----------
-    scene : bpy.types.Scene
     path : Path
         A sound file or a video.
     frame : float

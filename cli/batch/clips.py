@@ -155,8 +155,6 @@ def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
 
     Parameters
     ----------
-    clip : Clip
-        The clip.
     folder : Path
         Output folder of the batch.
     """
@@ -172,12 +170,8 @@ def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnail
 
     Parameters
     ----------
-    clip : Clip
-        The clip.
     folder : Path
         Output folder of the batch.
-    take : Take
-        Its take.
     seconds : float
         Time that processing took.
     thumbnails : sequence of bytes

@@ -86,11 +86,6 @@ def run_clip(job: PuppetJob, number: int | None) -> int:
         Its source is a clip, a folder or a list, its output the output folder.
     number : int, optional
         Number of the clip in a folder or a list, from 1.
-
-    Returns
-    -------
-    int
-        The exit status.
     """
     folder = job.output
     clip = Namer(job).clip(_chosen(find_clips([job.source]), number))

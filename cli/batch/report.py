@@ -44,8 +44,6 @@ def write_report(entries: Sequence[Entry], folder: Path) -> None:
 
     Parameters
     ----------
-    entries : sequence of Entry
-        The clips.
     folder : Path
         Output folder of the batch.
 

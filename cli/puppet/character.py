@@ -166,15 +166,7 @@ def _bound(chosen: bpy.types.Object, marks: Mapping[int, Mark]) -> tuple[bpy.typ
 
 
 def save(bound: BoundCharacter, output: Path) -> None:
-    """Save the file with the character, whose head is active.
-
-    Parameters
-    ----------
-    bound : BoundCharacter
-        The character.
-    output : Path
-        The file.
-    """
+    """Save the file with the character, whose head is active."""
     with showing_scene(scene_of(bound.head)):
         layer = bpy.context.view_layer
         for obj in layer.objects:
@@ -185,15 +177,7 @@ def save(bound: BoundCharacter, output: Path) -> None:
 
 
 def write_picture(bound: BoundCharacter, path: Path) -> None:
-    """Write a picture of the face with its landmarks.
-
-    Parameters
-    ----------
-    bound : BoundCharacter
-        The character.
-    path : Path
-        The file.
-    """
+    """Write a picture of the face with its landmarks."""
     scene = scene_of(bound.head)
     with showing_scene(scene):
         write_image(path, draw_landmarks(scene, bound.head, 2 * AVATAR_SIDE))

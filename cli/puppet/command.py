@@ -73,16 +73,10 @@ def run_track(
 
     Parameters
     ----------
-    video : Path
-        The video.
     output : Path
         File for the take.
     face : (float, float) or None
         As for `FaceTracker.choose`.
-    settings : TrackingSettings
-        How faces are found.
-    smooth : bool
-        Whether jitter is reduced.
     """
     unfinished = unfinished_beside(output)
     outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}

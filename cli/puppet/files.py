@@ -200,13 +200,7 @@ def _why_without_mesh(path: Path) -> str:
 
 @contextmanager
 def read_from(path: Path) -> Iterator[None]:
-    """Turn whatever goes wrong with a stranger's file, in Blender or here, into a SourceError that names the file.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    """
+    """Turn whatever goes wrong with a stranger's file, in Blender or here, into a SourceError that names the file."""
     try:
         yield
     except FacemimeError:
@@ -221,7 +215,6 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
 
     Parameters
     ----------
-    file : HeadFile
     by_keys : collection of str, optional
         A character with a known set of shape keys for these coefficients of ARKit is bound by its keys alone.
 

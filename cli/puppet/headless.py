@@ -89,12 +89,6 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
 
     Parameters
     ----------
-    job : PuppetJob
-        The job.
-    stage : Stage
-        Its scene and head.
-    take : Take
-        The performance.
     video : Path or None
         The video that was tracked; None if there is only the take.
     """
@@ -201,14 +195,10 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start:
     ----------
     scene : bpy.types.Scene
         The scene with the animated head.
-    take : Take
-        The performance.
     video : Path or None
         Its video, or None.
     start : float
         Frame of the scene at 0 s.
-    path : Path
-        The file.
     """
     fps = float(take.info.get("fps", 25.0))
     frames = list(at_constant_rate(_stamps(take), fps))
@@ -239,16 +229,12 @@ def write_sheet(
     ----------
     scene : bpy.types.Scene
         The scene with the animated head.
-    take : Take
-        The performance.
     video : Path or None
         Its video, or None.
     frames : array
         Frames of the take, (N,).
     start : float
         Frame of the scene at 0 s.
-    path : Path
-        The file.
     """
     avatars = _avatars(scene, take.times[frames], start)
     pairs = []

@@ -72,14 +72,10 @@ def track(
 
     Parameters
     ----------
-    video : Path
-        The video.
     unfinished : Path
         File that grows while tracking.
     face : (float, float) or None
         As for `FaceTracker.choose`.
-    settings : TrackingSettings
-        How faces are found.
 
     Raises
     ------
@@ -112,8 +108,6 @@ def keep_interrupted(take: Take, unfinished: Path, kept: Path) -> int:
 
     Parameters
     ----------
-    take : Take
-        The tracked part.
     unfinished : Path
         The file that grew.
     kept : Path

@@ -50,8 +50,6 @@ def run_in_child(line: Sequence[str], path: Path) -> int:
     ----------
     line : sequence of str
         Arguments of the command.
-    path : Path
-        The file.
 
     Raises
     ------

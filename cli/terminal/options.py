@@ -222,8 +222,6 @@ def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> Option
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser
-        The parser.
     line : sequence of str or None
         The arguments; None for those of the process.
 
@@ -268,9 +266,6 @@ def add_settings(
 
     Parameters
     ----------
-    parser : argparse.ArgumentParser or argument group
-    group : type
-        The group.
     without : collection of str
         Names of fields to leave out.
     omitted : dict of str to str, optional
@@ -323,7 +318,6 @@ def puppet_job(options: Options, **more: Any) -> PuppetJob:
 
     Parameters
     ----------
-    options : mapping of str to object
     **more
         Fields of `PuppetJob` that have no option of their name.
 

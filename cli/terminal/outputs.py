@@ -21,8 +21,6 @@ def outputs_of(outputs: Outputs, inputs: Mapping[str, Path | None], *more: Path)
         Outputs that the user named, and their allowed suffixes.
     inputs : mapping of str to (Path or None)
         Inputs by their description, which must not be overwritten.
-    more : Path
-        Further outputs.
 
     Raises
     ------

@@ -322,11 +322,6 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
     start : KeyMap
         The given table, whose offsets are kept.
 
-    Returns
-    -------
-    KeyMap
-        The learnt table.
-
     Notes
     -----
     Equation 9.6. A few poses leave most gains undetermined; these keep their given values.

@@ -51,7 +51,6 @@ def names_of(keys: Iterable[str], known: Set[str]) -> dict[str, set[str]]:
 
     Parameters
     ----------
-    keys : iterable of str
     known : set of str
         Normalised names of all known keys.
     """

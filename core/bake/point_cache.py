@@ -20,8 +20,6 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
 
     Parameters
     ----------
-    path : Path
-        The file.
     samples : iterable of (V, 3) array
         Positions of the vertices, one sample per frame.
     vertices : int

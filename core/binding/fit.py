@@ -112,19 +112,12 @@ def fit_template(template: Template, places: FloatArray, faces: IntArray, picked
 
     Parameters
     ----------
-    template : Template
-        The template.
     places : (V, 3) float64
         Vertices of the mesh.
     faces : (F, K) int
         Vertices of each face, padded with -1.
     picked : mapping of int to int
         Marked vertices by landmark (position in the 66); may be empty.
-
-    Returns
-    -------
-    FittedTemplate
-        The best fit.
 
     Raises
     ------

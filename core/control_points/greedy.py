@@ -157,11 +157,6 @@ def greedy_select(
     skin : tuple of (V, 3) array and (3, V) array, optional
         Vertices and their region weights, on which exchanges are judged; by default the landmarks.
 
-    Returns
-    -------
-    GreedySelection
-        The selection.
-
     Raises
     ------
     HeadError

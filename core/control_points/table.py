@@ -69,15 +69,8 @@ def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
 
     Parameters
     ----------
-    selection : GreedySelection
-        The selection.
     landmark : int
         Position in the 66 landmarks.
-
-    Returns
-    -------
-    GreedySelection
-        The new selection.
 
     Raises
     ------
@@ -98,11 +91,6 @@ def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySele
         The selection; None stands for one of all landmarks.
     landmark : int
         Position in the 66 landmarks.
-
-    Returns
-    -------
-    GreedySelection
-        The new selection.
 
     Raises
     ------
@@ -146,8 +134,6 @@ def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) 
 
     Parameters
     ----------
-    selection : GreedySelection
-        The selection.
     width, height : int
         Size in pixels.
 

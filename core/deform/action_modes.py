@@ -22,8 +22,6 @@ def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
 
     Parameters
     ----------
-    rig : HeadRig
-        The head.
     deformer : RBFDeformer
         The deformer of that head.
 

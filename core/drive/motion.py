@@ -47,15 +47,8 @@ def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] |
     ----------
     driver : HeadDriver
         Driver of the head.
-    take : Take
-        The take.
     on_frame : callable, optional
         Called after each frame with the number of frames done.
-
-    Returns
-    -------
-    HeadMotion
-        The motion.
 
     Raises
     ------
@@ -90,8 +83,6 @@ def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
 
     Parameters
     ----------
-    motion : HeadMotion
-        The motion.
     count : int
         Largest number of frames.
 

@@ -75,11 +75,6 @@ class Archive:
             Expected shape; None for a dimension of any length.
         dtype : type
             Type of the result.
-
-        Returns
-        -------
-        ndarray
-            The array.
         """
         array = self._get(name, shape, "fiu")
         with np.errstate(over="ignore"):
@@ -99,11 +94,6 @@ class Archive:
             Expected shape; None for a dimension of any length.
         low, high : int
             Range, both ends included.
-
-        Returns
-        -------
-        ndarray of intp
-            The array.
         """
         array = self._get(name, shape, "iu")
         if array.size and (int(array.min()) < low or int(array.max()) > high):
@@ -119,11 +109,6 @@ class Archive:
             Name of the array.
         shape : tuple of int or None
             Expected shape; None for a dimension of any length.
-
-        Returns
-        -------
-        ndarray of bool
-            The array.
         """
         return self._get(name, shape, "b").astype(np.bool_)
 
@@ -157,11 +142,6 @@ def read_archive(data: bytes, limit: int = MAX_BYTES) -> Archive:
         A zip file of `.npy` members, stored or deflated.
     limit : int
         Largest total size of the unpacked members, in bytes.
-
-    Returns
-    -------
-    Archive
-        The arrays.
 
     Raises
     ------

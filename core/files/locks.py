@@ -42,8 +42,6 @@ def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
 
     Parameters
     ----------
-    path : Path
-        The lock file.
     patience : float or None
         Seconds to wait for another process that holds it; None waits indefinitely.
 

@@ -52,13 +52,6 @@ def replacing(path: Path) -> Iterator[Path]:
 def settle(finished: Path, path: Path) -> None:
     """Move a finished file to its final name, replacing an existing one.
 
-    Parameters
-    ----------
-    finished : Path
-        The finished file.
-    path : Path
-        Its final name.
-
     Raises
     ------
     OutputError

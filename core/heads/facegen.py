@@ -96,8 +96,6 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
 
     Parameters
     ----------
-    path : Path
-        The file.
     mesh : FaceGenMesh
         The mesh, from `read_tri`.
 

@@ -122,11 +122,6 @@ def skin_of(
         Whether a vertex belongs to another part.
     landmarks : (66,) array of int, optional
         Vertices of the landmarks. Slits that were cut along lids and lips then stay open.
-
-    Returns
-    -------
-    Skin
-        The skin.
     """
     faces = np.asarray(faces)
     skin = np.ones(len(vertices), dtype=bool) if others is None else ~np.asarray(others)

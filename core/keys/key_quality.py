@@ -61,10 +61,6 @@ def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQu
 
     Parameters
     ----------
-    rig : HeadRig
-        The head.
-    keys : KeySet
-        The set.
     motions : (K, A, 3) array
         Displacements of all vertices at value 1, as in `HeadRig.all_vertices`.
 

@@ -67,11 +67,6 @@ class NeutralCalibration:
             Time in seconds.
         result : TrackResult
             Result at that time.
-
-        Returns
-        -------
-        bool
-            Whether the calibration is complete.
         """
         if len(self._recorder) == 0:
             self._since = time
@@ -128,11 +123,6 @@ class RangeCalibration:
         ----------
         time, result
             As for `NeutralCalibration.add`.
-
-        Returns
-        -------
-        bool
-            Whether the calibration is complete.
         """
         self._since = time if self._since is None else self._since
         if result.found:

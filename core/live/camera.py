@@ -60,8 +60,6 @@ class Camera(LiveSource):
 
     Parameters
     ----------
-    settings : CameraSettings
-        Camera and requested format.
     command : tuple of str, optional
         Command to start instead of `camera_process`, without its arguments.
     opening, silence : float

@@ -79,11 +79,6 @@ class PerformerLearner:
         result : TrackResult
             Result at that time, smoothed as for display.
 
-        Returns
-        -------
-        Neutral
-            The current neutral face.
-
         Notes
         -----
         It takes 2 ms.

@@ -23,8 +23,6 @@ class Recorder(Protocol):
 
         Parameters
         ----------
-        frame : LiveFrame
-            The frame.
         result : TrackResult
             Its result, as tracked.
         """

@@ -79,8 +79,6 @@ class Performer:
 
         Parameters
         ----------
-        frame : LiveFrame
-            The frame.
         seen : TrackResult
             Its result, as tracked.
         smoothing : float

@@ -60,8 +60,6 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
 
     Parameters
     ----------
-    path : Path
-        The file.
     image : (H, W, 3) uint8
         BGR.
 

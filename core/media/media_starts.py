@@ -39,22 +39,13 @@ def sound_lead(path: Path) -> float:
     """Return by how many seconds the sound of a file starts before its first image; negative if it starts later.
 
     It is 0 if the file has only one of them, or is of another kind than MP4, MOV, Matroska or WebM.
-
-    Parameters
-    ----------
-    path : Path
     """
     starts = read_starts(path)
     return starts[VIDEO] - starts[SOUND] if len(starts) == 2 else 0.0
 
 
 def read_starts(path: Path) -> Starts:
-    """Return the starts of the streams of a file, as far as they are known.
-
-    Parameters
-    ----------
-    path : Path
-    """
+    """Return the starts of the streams of a file, as far as they are known."""
     try:
         with path.open("rb") as file:
             head = file.read(8)
@@ -71,10 +62,6 @@ def last_image(path: Path) -> float | None:
 
     It is None if the file was cut, or is of another kind than Matroska or WebM; those of other kinds that matter state
     how many images they have.
-
-    Parameters
-    ----------
-    path : Path
     """
     try:
         with path.open("rb") as file:

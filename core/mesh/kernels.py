@@ -68,8 +68,6 @@ def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
 
     Parameters
     ----------
-    distance : ndarray
-        Distances r.
     sigma : float
         Width, in the unit of the distances.
 
@@ -86,8 +84,6 @@ def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
 
     Parameters
     ----------
-    distance : ndarray
-        Distances r.
     sigma : float
         Width of the narrow Gaussian, in the unit of the distances.
 
@@ -110,8 +106,6 @@ def wendland(distance: FloatArray, sigma: float) -> FloatArray:
 
     Parameters
     ----------
-    distance : ndarray
-        Distances r.
     sigma : float
         A quarter of the radius of the support, in the unit of the distances.
 
@@ -133,8 +127,6 @@ def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
 
     Parameters
     ----------
-    distance : ndarray
-        Distances r.
     sigma : float
         Scale, in the unit of the distances; it has to exceed the extent of the control points.
 

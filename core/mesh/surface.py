@@ -82,8 +82,6 @@ class SurfaceGraph:
 
         Parameters
         ----------
-        seeds : iterable of int
-            Vertices.
         limit : float
             Length at which to stop.
 
@@ -100,11 +98,6 @@ class SurfaceGraph:
     def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:
         """Find the seed that is nearest to each vertex along edges.
 
-        Parameters
-        ----------
-        seeds : iterable of int
-            Vertices.
-
         Returns
         -------
         (V,) intp
@@ -117,11 +110,6 @@ class SurfaceGraph:
 
     def path(self, start: int, end: int) -> list[int]:
         """Find the shortest path along edges.
-
-        Parameters
-        ----------
-        start, end : int
-            Vertices.
 
         Returns
         -------

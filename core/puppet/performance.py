@@ -37,15 +37,8 @@ class Performance:
 
         Parameters
         ----------
-        take : Take
-            The take.
         settings : PuppetSettings
             Smoothing, neutral face and driving.
-
-        Returns
-        -------
-        Performance
-            The performance.
 
         Raises
         ------

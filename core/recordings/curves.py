@@ -75,7 +75,6 @@ def recorded(performance: CoefficientTrack, name: str) -> Take:
 
     Parameters
     ----------
-    performance : CoefficientTrack
     name : str
         Of the file that it comes from.
 

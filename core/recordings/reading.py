@@ -31,7 +31,6 @@ def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
 
     Parameters
     ----------
-    path : Path
     angles : {"automatic", "radians", "degrees"}
         Unit of the rotation of the head in a table of coefficients.
 

@@ -46,10 +46,6 @@ class Diagnosis:
 
         Parameters
         ----------
-        error : PacketError
-            Reason.
-        data : bytes
-            The packet.
         address : (str, int)
             Its sender.
         now : float
@@ -119,8 +115,6 @@ def recognise(data: bytes, settings: StreamSettings) -> str | None:
 
     Parameters
     ----------
-    data : bytes
-        The packet.
     settings : StreamSettings
         Settings of the stream, whose own protocol is left out.
 

@@ -52,8 +52,6 @@ class Link(Protocol):
 
         Returns
         -------
-        bytes
-            The packet.
         (str, int)
             Address of the sender.
 
@@ -68,8 +66,6 @@ class Link(Protocol):
 
         Parameters
         ----------
-        data : bytes
-            The packet.
         address : (str, int)
             Address of the sender to answer.
         """
@@ -290,13 +286,6 @@ class Connection:
 
 def call(host: str, port: int) -> tuple[socket.socket, Address]:
     """Begin to connect to another computer, without waiting.
-
-    Parameters
-    ----------
-    host : str
-        Its name or address.
-    port : int
-        Port there.
 
     Returns
     -------

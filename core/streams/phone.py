@@ -54,8 +54,6 @@ class Phone:
 
         Parameters
         ----------
-        data : bytes
-            The packet.
         address : (str, int)
             Its sender, which later packets are sent to.
 
@@ -78,8 +76,6 @@ class Phone:
             Time in seconds on any clock.
         link : Link
             Link to the phone.
-        heard : bool
-            Whether faces are arriving.
 
         Returns
         -------

@@ -118,8 +118,6 @@ class Playout:
     ----------
     delay : float
         Delay in seconds after the earliest possible arrival.
-    predict : bool
-        Whether missing frames are predicted.
 
     Attributes
     ----------
@@ -145,8 +143,6 @@ class Playout:
 
         Parameters
         ----------
-        result : TrackResult
-            The face.
         time : float or None
             Time in seconds on the sender's clock; None if packets have no time, so that even intervals are assumed.
         arrival : float

@@ -56,8 +56,6 @@ class FaceMeasure:
 
         Parameters
         ----------
-        result : TrackResult
-            The face.
         neutral : Neutral or None
             The performer's neutral face, not mirrored.
         options : DriveSettings
@@ -135,8 +133,6 @@ class StreamSender:
         ----------
         time : float
             Time of the media in seconds.
-        result : TrackResult
-            The result.
         neutral : Neutral or None
             The performer's neutral face, not mirrored. Without one, only Facemime's own protocol and OpenSeeFace send.
         size : (int, int), optional
@@ -261,8 +257,6 @@ def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
     ----------
     result : TrackResult
         Result with a face.
-    neutral : Neutral
-        The neutral face.
 
     Returns
     -------
@@ -279,8 +273,6 @@ def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
     ----------
     result : TrackResult
         Result with a face.
-    neutral : Neutral
-        The neutral face.
 
     Returns
     -------
@@ -302,8 +294,6 @@ def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:
     ----------
     result : TrackResult
         Result with a face.
-    neutral : Neutral
-        The neutral face.
 
     Returns
     -------

@@ -37,8 +37,6 @@ class Timeline:
 
         Parameters
         ----------
-        shown : Shown
-            The frame.
         neutral : Neutral or None
             Neutral face of the source, if it states one.
         now : float
@@ -47,11 +45,6 @@ class Timeline:
             Number of frames that were skipped before it.
         start : float
             Time of the first frame in seconds.
-
-        Returns
-        -------
-        LiveFrame
-            The frame.
         """
         time = self._time_of(shown, start)
         if not shown.predicted:

@@ -40,11 +40,6 @@ _CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
 class TlsLink:
     """Packets over TLS from a paired sender.
 
-    Parameters
-    ----------
-    pairing : Pairing
-        The sender.
-
     Attributes
     ----------
     address : (str, int)

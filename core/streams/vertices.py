@@ -48,11 +48,6 @@ def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) 
         Appearance of the head.
     rest : (A, 3) float32
         Vertices of the rig at rest, in the head frame.
-
-    Returns
-    -------
-    bytes
-        The message.
     """
     patches = [patch.triangles()[0] for patch in appearance.all_patches(len(rest))]
     corners = np.concatenate([np.empty(0, dtype=np.int64), *patches]).astype("<u4")
@@ -71,13 +66,6 @@ def encode_face(number: int, appearance: Appearance, rig: HeadRig) -> bytes:
         Number of the head.
     appearance : Appearance
         Appearance of the head.
-    rig : HeadRig
-        The head.
-
-    Returns
-    -------
-    bytes
-        The message.
     """
     first, eyes = len(rig.all_vertices), {"eye_right": (0, 0), "eye_left": (0, 0)}
     for part in appearance.parts:
@@ -99,13 +87,6 @@ def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFr
         Time in seconds; only differences matter.
     appearance : Appearance
         Appearance of the head.
-    frame : HeadFrame
-        The frame.
-
-    Returns
-    -------
-    bytes
-        The message.
     """
     parts = [part.posed(frame.jaw, frame.gaze, frame.tongue) for part in appearance.parts]
     points = _points(frame.vertices, *parts)

@@ -63,11 +63,6 @@ def request(kind: str, data: dict[str, Any]) -> str:
         Type of the request, such as "InjectParameterDataRequest".
     data : dict
         Data of the request.
-
-    Returns
-    -------
-    str
-        The message.
     """
     message = {"apiName": "VTubeStudioPublicAPI", "apiVersion": "1.0", "requestID": "Facemime", "messageType": kind}
     return json.dumps({**message, "data": data}, separators=(",", ":"))
@@ -75,11 +70,6 @@ def request(kind: str, data: dict[str, Any]) -> str:
 
 def parameters(face: FaceValues) -> dict[str, float]:
     """Convert a face to the parameters of VTube Studio.
-
-    Parameters
-    ----------
-    face : FaceValues
-        The face.
 
     Returns
     -------
@@ -126,13 +116,6 @@ def injection(values: dict[str, float], *, found: bool) -> str:
     ----------
     values : dict
         Values from `parameters`.
-    found : bool
-        Whether there is a face.
-
-    Returns
-    -------
-    str
-        The message.
     """
     listed = [{"id": name, "value": number} for name, number in values.items()]
     return request("InjectParameterDataRequest", {"faceFound": found, "mode": "set", "parameterValues": listed})

@@ -56,8 +56,6 @@ def at_rest(neutral: Neutral, like: TrackResult) -> TrackResult:
 
     Parameters
     ----------
-    neutral : Neutral
-        The neutral face.
     like : TrackResult
         A result with a face from the same source. If it has coefficients, those of the result are 0.
 

@@ -82,7 +82,6 @@ def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
 
     Parameters
     ----------
-    path : Path
     angles : {"automatic", "radians", "degrees"}
         Unit of the angles.
 

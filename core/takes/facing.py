@@ -19,11 +19,6 @@ def facing(take: Take) -> FloatArray:
     The pitch of a face depends on its unknown profile, so it may be off by ten degrees. The eyes show it: they are
     usually straight in the head, so if they are turned against its usual pitch, it is that of a head facing the camera.
 
-    Parameters
-    ----------
-    take : Take
-        A performance.
-
     Returns
     -------
     (3, 3) float64
@@ -45,8 +40,6 @@ def usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
 
     Parameters
     ----------
-    take : Take
-        A performance.
     rotation : (3, 3) float64
         Rotation of the performer's head that does not turn the avatar's.
 

@@ -110,11 +110,6 @@ def chunk_bytes(kind: bytes, content: bytes, *, count: int = 0, first: int = 0) 
         Number of frames in the chunk.
     first : int
         Number of its first frame.
-
-    Returns
-    -------
-    bytes
-        Header and content.
     """
     fields = (MARKER, FORMAT_VERSION, kind, count, first, len(content), zlib.crc32(content))
     head = HEADER.pack(*fields, 0)[:-4]

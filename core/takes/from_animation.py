@@ -88,11 +88,6 @@ class PointTracker:
             Rotation of the head from rest.
         moved : (3,) float64
             Translation of the head: it is at ``rotation @ rest + moved``, in the unit of the head frame.
-
-        Returns
-        -------
-        TrackResult
-            The result.
         """
         pose = pose_of(rotation, (rotation @ self.pivot + moved - self.pivot) / self.unit)
         shape = ((points.landmarks - moved) @ rotation - self._centre) / self.unit
@@ -162,11 +157,6 @@ def describe_animation(source: str, fps: float) -> dict[str, object]:
         Name of the file or object.
     fps : float
         Frames per second.
-
-    Returns
-    -------
-    dict
-        The description.
     """
     return {**describe(source, fps, IMAGE_SIZE, "mesh"), "measured": True}
 

@@ -100,9 +100,6 @@ def _lost_after(source: VideoSource, count: int, last: float) -> float:
 
     Parameters
     ----------
-    source : VideoSource
-    count : int
-        How many images were read.
     last : float
         Time of the last one.
     """

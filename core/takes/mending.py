@@ -25,16 +25,8 @@ def mend(take: Take, mending: Mending) -> Take:
 
     Parameters
     ----------
-    take : Take
-        The take.
     mending : Mending
         What to do, in the order of its fields.
-
-    Returns
-    -------
-    Take
-        The mended take.
-
 
     Raises
     ------
@@ -73,17 +65,10 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
 
     Parameters
     ----------
-    take : Take
-        The take.
     how : {"bridge", "hold"}
         Interpolate, or hold the last face.
     longest : float
         Longest gap to fill in seconds, from face to face.
-
-    Returns
-    -------
-    Take
-        The filled take.
 
     Raises
     ------
@@ -158,15 +143,8 @@ def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:
 
     Parameters
     ----------
-    take : Take
-        The take.
     mode_signs : (K,) float64, optional
         As for `mirror_result`.
-
-    Returns
-    -------
-    Take
-        The mirrored take.
     """
     width = float(take.info.get("image_size", (640, 480))[0])
     info: dict[str, Any] = {**take.info, "mirrored": not take.info.get("mirrored", False)}
@@ -190,8 +168,6 @@ def renew_neutral(take: Take, frame_time: float) -> Take:
 
     Parameters
     ----------
-    take : Take
-        The take.
     frame_time : float
         Time of the frame in seconds.
 

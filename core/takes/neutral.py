@@ -283,8 +283,6 @@ def trust(take: Take, frames: IntArray) -> FloatArray:
 
     Parameters
     ----------
-    take : Take
-        The take.
     frames : (N,) array of int
         Frames with a face.
 
@@ -304,8 +302,6 @@ def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
 
     Parameters
     ----------
-    take : Take
-        The take.
     frames : (N,) array of int
         Frames with a face.
     activations : (N, U) float64

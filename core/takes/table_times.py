@@ -41,8 +41,6 @@ def times_of_rows(rows: Sequence[Sequence[str]], head: Sequence[str]) -> tuple[F
 
     Parameters
     ----------
-    rows : sequence of rows
-        Their cells.
     head : sequence of str
         Titles of the columns.
 
@@ -50,8 +48,6 @@ def times_of_rows(rows: Sequence[Sequence[str]], head: Sequence[str]) -> tuple[F
     -------
     times : (N,) float64
         In seconds.
-    notes : list of str
-        What was assumed.
 
     Raises
     ------

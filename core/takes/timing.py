@@ -90,8 +90,6 @@ def sample(take: Take, times: FloatArray) -> Take:
 
     Parameters
     ----------
-    take : Take
-        The take.
     times : (M,) float64
         Times in seconds, increasing.
 
@@ -132,8 +130,6 @@ def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
 
     Parameters
     ----------
-    take : Take
-        The take.
     lost : (N,) bool
         Frames to mark.
 
@@ -153,17 +149,10 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
 
     Parameters
     ----------
-    take : Take
-        The take.
     fps : float
         Frames per second.
     start : float, optional
         Time of the first frame in seconds; by default that of the take.
-
-    Returns
-    -------
-    Take
-        The resampled take.
 
     Raises
     ------

@@ -76,11 +76,6 @@ class ResponseMaps:
             Source of the replacements.
         chosen : (n,) bool
             Which maps to replace.
-
-        Returns
-        -------
-        ResponseMaps
-            The combined maps.
         """
         return ResponseMaps(
             self.landmarks,

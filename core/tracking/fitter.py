@@ -84,8 +84,6 @@ class FaceFitter:
 
     Parameters
     ----------
-    model : TrackerModel
-        The tracker model.
     timings : dict of str to float
         Seconds spent in the stages "experts", "fit" and "check" are added to it.
     """

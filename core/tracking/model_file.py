@@ -150,8 +150,6 @@ def save_model(model: TrackerModel, path: Path) -> str:
 
     Parameters
     ----------
-    model : TrackerModel
-        The model.
     path : Path
         The file to write.
 

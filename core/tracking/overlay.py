@@ -151,8 +151,6 @@ def draw_label(image: Image, text: str) -> Image:
     ----------
     image : (H, W, 3) uint8
         BGR.
-    text : str
-        ASCII text.
 
     Returns
     -------

@@ -123,13 +123,6 @@ class TrackResult:
             Landmarks without the pose: head frame, outer-eye distances.
         pose : (6,) array
             Pose, as in the attribute; it places the landmarks.
-        **values
-            Further attributes.
-
-        Returns
-        -------
-        TrackResult
-            The result.
         """
         return cls(
             found=True,

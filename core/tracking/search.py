@@ -101,11 +101,6 @@ class Candidate:
 class FaceSearch:
     """Finds faces in a grey image, from scratch or near a face of the previous frame.
 
-    Parameters
-    ----------
-    model : TrackerModel
-        The tracker model.
-
     Attributes
     ----------
     gradual : bool
@@ -193,11 +188,6 @@ class FaceSearch:
             awaited, which may be small.
         brief : bool
             Whether to fit few starts, as a gradual search does, because there was no face in the previous frame.
-
-        Returns
-        -------
-        list of Candidate
-            The accepted faces.
         """
         return list(self._detected(grey, self._all if steps is None else steps, small, brief or self.gradual))
 
@@ -212,11 +202,6 @@ class FaceSearch:
             Pose of the tracked face, in the image frame.
         small : bool
             Whether to search for small faces, too, which takes longer.
-
-        Returns
-        -------
-        list of Candidate
-            The accepted faces.
         """
 
         def apart(other: FloatArray) -> bool:

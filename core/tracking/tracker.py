@@ -90,11 +90,6 @@ class FaceTracker:
         settings : TrackingSettings
             As for the class.
 
-        Returns
-        -------
-        FaceTracker
-            The tracker.
-
         Raises
         ------
         ModelError

@@ -74,8 +74,6 @@ class Gate:
         Listening socket that does not block; it is closed at the end.
     protocol : callable
         Creates the protocol of a connection.
-    context : ssl.SSLContext or None
-        For TLS.
     """
 
     def __init__(

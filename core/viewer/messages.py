@@ -40,17 +40,10 @@ def encode_frame(
         Number of the frame, modulo 2^32.
     taken : float
         `time.perf_counter()` when the frame arrived.
-    models : sequence of ViewerModel
-        The heads.
     frames : sequence of HeadFrame
         A frame for each head; empty if there is no face.
     follow : (bool, bool)
         Whether heads follow the performer's rotation and translation.
-
-    Returns
-    -------
-    bytes
-        The message.
     """
     parts = [_FRAME_HEADER.pack(FRAME, len(frames), scene & 0xFFFF, number & 0xFFFFFFFF, taken)]
     for model, frame in zip(models, frames, strict=False):
@@ -70,11 +63,6 @@ def encode_clock(sent: float, now: float) -> bytes:
         Time of the page that asked, from its request.
     now : float
         Time of the server in seconds.
-
-    Returns
-    -------
-    bytes
-        The message.
     """
     return _CLOCK.pack(CLOCK, sent, now)
 

@@ -66,13 +66,7 @@ class NatsReader:
 
 
 def connecting(user: str, password: str) -> bytes:
-    """Return the first operations of a client: its credentials, and a request to confirm them.
-
-    Parameters
-    ----------
-    user, password : str
-        The credentials.
-    """
+    """Return the first operations of a client: its credentials, and a request to confirm them."""
     options = {
         "verbose": False,
         "pedantic": False,
@@ -91,8 +85,6 @@ def publishing(subject: str, payload: bytes) -> bytes:
     ----------
     subject : str
         Subject of the message.
-    payload : bytes
-        The message.
     """
     return f"PUB {subject} {len(payload)}\r\n".encode() + payload + _END
 

@@ -170,8 +170,6 @@ class Site:
             Number of the scene.
         path : str
             Folder of its models.
-        models : tuple of ViewerModel
-            The models.
         """
         for head, model in enumerate(models):
             _write(self.page / path / str(head) / "model", model.data)

@@ -84,11 +84,6 @@ class ViewerSettings:
         ----------
         host : str
             Host of the request, with or without a port.
-
-        Returns
-        -------
-        bool
-            Whether the host is allowed.
         """
         if _HOST.fullmatch(host) is None:
             return False
@@ -143,13 +138,6 @@ def same_token(given: str, token: str) -> bool:
     ----------
     given : str
         Token of a request.
-    token : str
-        The right token.
-
-    Returns
-    -------
-    bool
-        Whether they are equal.
     """
     return hmac.compare_digest(given.encode(), token.encode())
 

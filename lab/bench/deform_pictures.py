@@ -85,7 +85,6 @@ def comparison(
 
     Parameters
     ----------
-    head : TrueHead
     methods : mapping of str to callable
         `Method.predict` by title.
     expressions : sequence of str

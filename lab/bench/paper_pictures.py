@@ -47,15 +47,10 @@ def draw(folder: Path, head: TrueHead, rig: HeadRig, take: Take, video: Path, pa
 
     Parameters
     ----------
-    folder : Path
     head : TrueHead
         The built-in head with its known expressions.
-    rig : HeadRig
-        The same head.
     take : Take
         The sample clip, tracked.
-    video : Path
-        The clip.
     paper : DriveSettings
         The preset of the paper.
     """

@@ -215,8 +215,6 @@ def stream(
 
     Parameters
     ----------
-    take : Take
-        What is sent.
     seconds, cut : float
         Seconds that are measured, and seconds without packets after these.
     loss : float

@@ -152,17 +152,10 @@ def convert(photos: Sequence[Path], folder: Path, label: Label) -> list[str]:
 
     Parameters
     ----------
-    photos : sequence of Path
-        Image files.
     folder : Path
         Where `images` and `landmarks68.npz` are written.
     label : callable
         Returns landmarks (68, 2) of a photo without a template; NaN if it finds no face.
-
-    Returns
-    -------
-    list of str
-        Why photos were left out.
 
     Raises
     ------

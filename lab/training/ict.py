@@ -69,11 +69,6 @@ def checksum(arrays: dict[str, np.ndarray]) -> str:
     ----------
     arrays : dict
         As returned by `convert`, or read from `ICT_FILE`.
-
-    Returns
-    -------
-    str
-        Twelve hexadecimal digits.
     """
     of = hashlib.sha256()
     for name, kind in (("neutral", "<f4"), ("faces", "<i4"), ("landmarks68", "<i8")):

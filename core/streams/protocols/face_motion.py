@@ -136,11 +136,6 @@ class FaceMotionReceiver:
         ----------
         now : float
             Time in seconds on any clock.
-
-        Returns
-        -------
-        bool
-            Whether it is active.
         """
         return self._schema is not None and now - self._moving < _OVER
 
@@ -151,11 +146,6 @@ class FaceMotionReceiver:
         ----------
         now : float
             Time in seconds on any clock.
-
-        Returns
-        -------
-        list of bytes
-            The packets.
         """
         if self._schema is None or not self.active(now):
             return []
@@ -300,11 +290,6 @@ def message(
         Fields of the header.
     largest : int
         Largest size of a datagram in bytes.
-
-    Returns
-    -------
-    list of bytes
-        The datagrams.
     """
     capacity = largest - HEADER.size
     pieces = [payload[begin : begin + capacity] for begin in range(0, max(len(payload), 1), capacity)]

@@ -82,11 +82,6 @@ def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> Fa
         Three angles in degrees, and a position in metres unless it is unknown, in ARKit's axes: to the viewer's right,
         up, and towards the viewer.
 
-    Returns
-    -------
-    FaceValues
-        The face.
-
     Raises
     ------
     PacketError

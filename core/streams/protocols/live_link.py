@@ -93,11 +93,6 @@ def encode(face: FaceValues | None, time: float, *, subject: str, device: str, r
         Names of the face and of the sender.
     rate : int
         Frames per second in which the time is counted.
-
-    Returns
-    -------
-    bytes
-        The packet.
     """
     whole, part = divmod(max(time, 0.0) * rate, 1.0)
     head = b"\x06" + b"".join(_LENGTH.pack(len(raw)) + raw for raw in (device.encode(), subject.encode()))

@@ -43,11 +43,6 @@ def encode_message(address: str, *arguments: Argument) -> bytes:
         Address, which begins with a slash.
     arguments : int, float, str or bool
         Arguments, of types i, f, s, T and F.
-
-    Returns
-    -------
-    bytes
-        The message.
     """
     tags, body = ",", b""
     for value in arguments:
@@ -70,11 +65,6 @@ def encode_bundles(messages: Iterable[bytes], limit: int) -> Iterator[bytes]:
         Messages from `encode_message`.
     limit : int
         Largest size of a bundle in bytes; a bundle with a single message may be larger.
-
-    Yields
-    ------
-    bytes
-        A bundle.
     """
     bundle = empty = _BUNDLE + _NOW
     for message in messages:
@@ -112,8 +102,6 @@ def read_each(data: bytes, read: Callable[[Message], bool]) -> None:
 
     Parameters
     ----------
-    data : bytes
-        The datagram.
     read : callable
         Reads a message, and returns whether it belongs to the protocol; PacketError if it is malformed.
 

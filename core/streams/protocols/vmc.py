@@ -159,11 +159,6 @@ def encode(face: FaceValues | None, time: float, names: Names = "arkit") -> Iter
         ARKit's names with a capital, as used by avatars made for *perfect sync*; or, for all other avatars, the
         expressions of VRM 1 and VRM 0, by Facemime's key mappings. The other names are sent as 0, as an avatar that has
         both would move twice as far.
-
-    Yields
-    ------
-    bytes
-        A datagram.
     """
     messages = [
         osc.encode_message("/VMC/Ext/OK", 1, 3, 0, int(face is not None)),

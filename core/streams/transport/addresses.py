@@ -29,8 +29,6 @@ def parse_address(text: str, port: int = 0) -> tuple[str, int]:
 
     Parameters
     ----------
-    text : str
-        The address.
     port : int
         Port if `text` states none.
 
@@ -38,8 +36,6 @@ def parse_address(text: str, port: int = 0) -> tuple[str, int]:
     -------
     host : str
         Host; this computer if `text` states none.
-    port : int
-        Port.
 
     Raises
     ------
@@ -57,13 +53,6 @@ def parse_address(text: str, port: int = 0) -> tuple[str, int]:
 
 def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
     """Find the family and the numeric address of a host.
-
-    Parameters
-    ----------
-    host : str
-        Name or address.
-    port : int
-        Port.
 
     Returns
     -------
@@ -129,20 +118,7 @@ def nobody_receives(host: str, port: int) -> str:
 
 
 def cannot_send(host: str, port: int, error: OSError) -> OutputError:
-    """Return the error for an address that cannot be sent to.
-
-    Parameters
-    ----------
-    host, port : str, int
-        The address.
-    error : OSError
-        The cause.
-
-    Returns
-    -------
-    OutputError
-        To be raised.
-    """
+    """Return the error for an address that cannot be sent to."""
     return OutputError(
         f"Cannot send to {bracketed(host)}:{port} ({error.strerror or error}). "
         "Check the address and the program that receives there."

@@ -77,20 +77,7 @@ class Packet:
 
 
 def pack(packet: Packet, *, signed: bool) -> bytes:
-    """Serialise a packet without its signature.
-
-    Parameters
-    ----------
-    packet : Packet
-        The packet.
-    signed : bool
-        Whether a signature will follow.
-
-    Returns
-    -------
-    bytes
-        Header and body.
-    """
+    """Serialise a packet without its signature."""
     fields = (packet.kind, int(signed), packet.session, packet.sequence, packet.time)
     return HEADER.pack(_MAGIC, VERSION, *fields) + packet.body
 

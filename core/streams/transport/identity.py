@@ -50,8 +50,6 @@ class Identity:
         ----------
         host : str
             Address of this computer on which the sender listens.
-        port : int
-            Its port.
         public : str
             Address by which other networks reach this computer, HOST[:PORT]; "" for its own.
 

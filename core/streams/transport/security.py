@@ -61,11 +61,6 @@ def server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
     certificate, key : Path
         PEM files; without `key`, the file of the certificate contains it.
 
-    Returns
-    -------
-    ssl.SSLContext
-        The context.
-
     Raises
     ------
     OSError
@@ -94,10 +89,6 @@ def is_signed(key: bytes, tag: bytes, *parts: bytes) -> bool:
     ----------
     key : bytes
         Key of the signature.
-    tag : bytes
-        The signature.
-    *parts : bytes
-        The signed data.
 
     Returns
     -------
@@ -112,8 +103,6 @@ def session_key(key: bytes, session: bytes, sent: bytes, answered: bytes) -> byt
 
     Parameters
     ----------
-    key : bytes
-        The shared key.
     session : bytes
         Session of the sender, `SESSION_BYTES` long.
     sent, answered : bytes

@@ -30,13 +30,7 @@ class Refusal(Enum):
 
 
 class RefusedError(PacketError):
-    """A packet is well formed, but not accepted.
-
-    Parameters
-    ----------
-    reason : Refusal
-        Reason.
-    """
+    """A packet is well formed, but not accepted."""
 
     def __init__(self, reason: Refusal) -> None:
         super().__init__(reason.value)
@@ -184,11 +178,6 @@ class OwnSender:
             Content, from `datagram.encode_face`.
         time : float
             Time of the media in seconds, at least 0.
-
-        Returns
-        -------
-        bytes
-            The datagram.
         """
         self._sequence += 1
         content = datagram.pack(Packet(kind, self._session, self._sequence, time, body), signed=self._key is not None)
