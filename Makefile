@@ -66,9 +66,10 @@ test-gui: setup build windows
 	$(BIN)/python -m pytest tests/gui
 
 # The pictures of the README and the tutorials, which a window test takes; look at them before you commit them.
-pictures: setup build windows programs
+pictures: setup build windows programs demo
 	$(BIN)/python -m pytest tests/gui/test_pictures.py
 	cp build/gui/pictures/*.png docs/tutorials/images
+	$(BIN)/python tools/moving_picture.py build/demo/demo.mp4 docs/images/demo.webp
 
 # Ten minutes of puppeteering in Blender's window, to find growing memory and leftover threads.
 soak: setup build windows

@@ -9,7 +9,7 @@ import cv2
 
 FIRST, SECONDS = 1.5, 5.0
 """Start and length in seconds; the sample clip smiles, opens the mouth and raises the brows in that time."""
-RATE, WIDTH, QUALITY = 12.5, 720, 60
+RATE, WIDTH, QUALITY = 12.5, 720, 85
 """Frames per second, pixels, and WebP's quality: about 1 MB, which a page on a slow line can bear."""
 
 
