@@ -33,7 +33,10 @@ _ERRORS = {
     "VertexTakenError",
 }
 _READERS = (
-    "core/*.py",
+    "core/files/*.py",
+    "core/face/*.py",
+    "core/media/*.py",
+    "core/numeric/*.py",
     "core/takes/*.py",
     "core/recordings/*.py",
     "core/heads/facegen.py",
@@ -74,7 +77,7 @@ _NOT_SHOWN = {"WINDOW", "Facemime", "3D View"}
 
 def sources() -> list[Path]:
     """Return the modules with texts that Blender looks up."""
-    return _modules("operators/*.py", "ui/*.py", "settings/*.py", "core/*/settings.py")
+    return _modules("operators/*.py", "ui/*.py", "settings/*.py", "core/*/*settings.py")
 
 
 def message_sources() -> list[Path]:
