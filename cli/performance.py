@@ -48,7 +48,7 @@ def add_source(parser: argparse.ArgumentParser, *, takes_as_recorded: bool = Fal
 
 
 @dataclass(frozen=True)
-class Performance:
+class LivePerformance:
     """A performance that is tracked live, from the options of `add_source`.
 
     Attributes

@@ -18,7 +18,7 @@ from ..core.streams.stream_settings import EXPRESSIONS, OWN, SendSettings
 from ..core.streams.transport.addresses import parse_address
 from ..core.streams.transport.pairing import PORT as TLS_PORT
 from ..core.streams.vertices import VERTICES, VertexSender
-from .performance import Performance, add_head_option, add_source, head_to_show, watch
+from .performance import LivePerformance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command, add_key_option, filled
 from .terminal.stopping import STOPPING
@@ -36,7 +36,7 @@ class SendJob:
 
     Attributes
     ----------
-    performance : Performance
+    performance : LivePerformance
     head : HeadFile or None
         Head whose vertices are sent, for `VERTICES`; None for the built-in one.
     to : str or None
@@ -57,7 +57,7 @@ class SendJob:
         As in `SendSettings`.
     """
 
-    performance: Performance
+    performance: LivePerformance
     head: HeadFile | None
     to: str | None
     serve: str | None

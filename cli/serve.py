@@ -14,7 +14,7 @@ from ..core.puppet.job import HeadFile
 from ..core.streams.transport.addresses import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
 from ..core.viewer.viewer_settings import PORT, ViewerSettings, kept_token
-from .performance import Performance, add_head_option, add_source, head_to_show, watch
+from .performance import LivePerformance, add_head_option, add_source, head_to_show, watch
 from .terminal.console import Progress, say, tell
 from .terminal.options import Commands, add_command, filled
 from .terminal.stopping import STOPPING
@@ -30,7 +30,7 @@ class ServeJob:
 
     Attributes
     ----------
-    performance : Performance
+    performance : LivePerformance
     head : HeadFile or None
         The head; None for the built-in one.
     listen : str
@@ -47,7 +47,7 @@ class ServeJob:
         Whether the head moves as well as turns.
     """
 
-    performance: Performance
+    performance: LivePerformance
     head: HeadFile | None
     listen: str
     cert: Path | None

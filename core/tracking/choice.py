@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
-from .identity import Identity, describe_face
+from .identity import PerformerIdentity, describe_face
 from .pdm import FittedShape
 from .search import Candidate, largest
 
@@ -56,7 +56,9 @@ class FaceChoice:
         self._requested = self._lost = None
         self.misses = 0
 
-    def pick(self, grey: NDArray[np.uint8], candidates: Sequence[Candidate], identity: Identity) -> Candidate | None:
+    def pick(
+        self, grey: NDArray[np.uint8], candidates: Sequence[Candidate], identity: PerformerIdentity
+    ) -> Candidate | None:
         """Choose the face to track. Resets `identity` if that may be anybody's.
 
         Parameters
@@ -65,7 +67,7 @@ class FaceChoice:
             The image in which the candidates were found.
         candidates : sequence of Candidate
             The faces in view.
-        identity : Identity
+        identity : PerformerIdentity
             Identity of the lost performer.
 
         Returns

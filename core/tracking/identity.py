@@ -117,7 +117,7 @@ class _Bystander:
 
 
 @dataclass
-class Identity:
+class PerformerIdentity:
     """Appearance of the performer and of bystanders.
 
     Attributes

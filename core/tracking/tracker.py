@@ -17,7 +17,7 @@ from .choice import FaceChoice
 from .fitter import FaceFitter
 from .gaze import find_gaze
 from .hidden_mouth import HiddenMouth
-from .identity import Identity, describe_face
+from .identity import PerformerIdentity, describe_face
 from .model_file import TrackerModel, load_model
 from .pdm import FittedShape, PointDistributionModel
 from .result import TrackResult, project_shape
@@ -68,7 +68,7 @@ class FaceTracker:
         self._search = FaceSearch(model)
         self._search.gradual = gradual
         self.settings = settings
-        self._identity = Identity()
+        self._identity = PerformerIdentity()
         self._choice = FaceChoice()
         self._last: FittedShape | None = None
         self._switch_requested = False

@@ -26,7 +26,7 @@ _UTF8, _UTC_TIME, _TIME = 0x0C, 0x17, 0x18
 
 
 @dataclass(frozen=True)
-class Identity:
+class TlsIdentity:
     """What this computer proves itself by.
 
     Attributes
@@ -62,7 +62,7 @@ class Identity:
         return Pairing(*reached, self.fingerprint, self.token)
 
 
-def load_identity(folder: Path) -> Identity:
+def load_identity(folder: Path) -> TlsIdentity:
     """Load the identity stored in a folder; create one if the folder has none.
 
     Raises
@@ -85,7 +85,7 @@ def load_identity(folder: Path) -> Identity:
         ) from error
     if len(token) != TOKEN_BYTES:
         raise SourceError(f"The token in {folder} is too short or too long. Delete the folder, and pair again.")
-    return Identity(context, fingerprint_of(certificate), token)
+    return TlsIdentity(context, fingerprint_of(certificate), token)
 
 
 def renew_identity(folder: Path) -> None:

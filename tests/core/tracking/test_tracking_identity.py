@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.tracking.identity import Identity, describe_face
+from facemime.core.tracking.identity import PerformerIdentity, describe_face
 from facemime.core.tracking.tracker import FaceTracker
 
 ROOT = Path(__file__).parents[3]
@@ -49,7 +49,7 @@ def test_a_descriptor_of_a_flat_image_is_finite() -> None:
 
 
 def test_the_first_face_is_recognised_and_a_different_one_is_not() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     one, two = looks(0, 2)
     assert identity.recognises(one)
     assert identity.recognises(one)
@@ -57,7 +57,7 @@ def test_the_first_face_is_recognised_and_a_different_one_is_not() -> None:
 
 
 def test_nobody_is_a_bystander_before_one_was_seen() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     one, two = looks(1, 2)
     identity.recognises(one)
     assert not identity.is_bystander(two)
@@ -67,7 +67,7 @@ def test_nobody_is_a_bystander_before_one_was_seen() -> None:
 
 
 def test_a_lasting_change_of_appearance_is_learnt() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     one, two = looks(2, 2)
     identity.recognises(one)
     for _ in range(60):
@@ -76,7 +76,7 @@ def test_a_lasting_change_of_appearance_is_learnt() -> None:
 
 
 def test_bystanders_are_searched_at_once_and_less_often_later() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     own, odd = looks(7, 2)
     identity.recognises(own)
     searched = []
@@ -90,7 +90,7 @@ def test_bystanders_are_searched_at_once_and_less_often_later() -> None:
 
 
 def test_after_a_loss_the_performer_is_distinguished_from_the_bystander() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     own, other = looks(3, 2)
     identity.recognises(own)
     identity.update_bystander(other, at(300.0))
@@ -99,7 +99,7 @@ def test_after_a_loss_the_performer_is_distinguished_from_the_bystander() -> Non
 
 
 def test_an_ambiguous_face_is_the_bystanders_where_the_bystander_just_was() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     own, other = looks(4, 2)
     new = (own + other) / np.linalg.norm(own + other)
     identity.recognises(own)
@@ -110,7 +110,7 @@ def test_an_ambiguous_face_is_the_bystanders_where_the_bystander_just_was() -> N
 
 
 def test_it_is_crowded_only_while_a_bystander_was_seen_recently() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     one, two = looks(6, 2)
     identity.recognises(one)
     assert not identity.crowded
@@ -121,7 +121,7 @@ def test_it_is_crowded_only_while_a_bystander_was_seen_recently() -> None:
 
 
 def test_everybody_is_forgotten_when_another_face_is_tracked() -> None:
-    identity = Identity()
+    identity = PerformerIdentity()
     own, other = looks(5, 2)
     identity.recognises(own)
     identity.update_bystander(other, at(300.0))
