@@ -16,7 +16,7 @@ from ..drive.retarget import retargeter_for
 from ..drive.settings import DriveSettings
 from ..heads.built_in import load_head
 from ..landmarks import outer_eye_distance
-from ..products import dot
+from ..linalg import multiply
 from ..rotation import euler_to_matrix
 from ..takes.face_space import without_similarity
 from ..takes.neutral import MIRROR_WIDTH, Neutral
@@ -60,7 +60,7 @@ class Observer:
         It contains the displacements without those of the whole head, in outer-eye distances, and the activations above
         rest, which are NaN if they are unknown or ignored.
         """
-        own = dot((self.displacements(result) / self._unit).ravel(), self._own)
+        own = multiply((self.displacements(result) / self._unit).ravel(), self._own)
         above = np.full(len(ACTIONS), np.nan)
         if not self.options.only_landmarks:
             above = self._actions.above_rest(result.actions, result.shape) * self._actions.gains
