@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-plain test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -39,12 +39,8 @@ test: setup build blenders windows programs build/head/.ready
 	$(PYTEST) $(SUITES) -m "not thorough"
 
 # All other tests as well: the other versions of Blender and their windows, fuzzers, random sequences.
-test-all: test test-plain
+test-all: test
 	$(PYTEST) $(SUITES) -m thorough
-
-# With numpy built as Blender builds its own, without BLAS and LAPACK: that one is slower, and not safe in threads.
-test-plain: setup build
-	numpy=$$(PYTHON=$(PYTHON) sh tools/plain_numpy.sh) && PYTHONPATH=$$numpy $(PYTEST) tests/blender tests/core -m "not thorough"
 
 # A share of the thorough tests, so that a change need not wait for all of them: SHARE=2/3 runs the second third.
 SHARE ?= 1/3
@@ -81,7 +77,7 @@ test-core: setup
 demo: setup
 	@sh tools/demo.sh "$(VIDEO)"
 
-# The extension, one zip per platform.
+# The extension, a zip per platform and version of Python.
 build: setup viewer
 	$(BIN)/python tools/build.py
 

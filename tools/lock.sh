@@ -16,6 +16,4 @@ for version in 4.2 4.5 5.0; do
     uv --python-version 3.11 "bpy-$version.in" -o "bpy-$version.txt"
 done
 uv --python-version 3.13 bpy-5.2.in -o bpy-5.2.txt
-uv --python-version 3.11 plain-build.in -o plain-build.txt
-uv --python-version 3.11 --no-deps plain.in -o plain.txt
 (cd viewer && npm install --package-lock-only --ignore-scripts --omit-lockfile-registry-resolved --no-audit --no-fund)

@@ -8,7 +8,7 @@ cache=${FACEMIME_CACHE:?}
 reason=build/gui/no-windows.txt
 suites="trixie sid"
 
-packages=blender,python3-numpy,xvfb,xauth,xdotool,imagemagick,libgl1-mesa-dri,libegl1,ca-certificates
+packages=blender,python3-numpy,python3-scipy,xvfb,xauth,xdotool,imagemagick,libgl1-mesa-dri,libegl1,ca-certificates
 recipe() {
     case $1 in
         trixie) echo "$packages" ;;

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
-from ..numeric.products import multiply
+from ..numeric.linalg import multiply
 
 _ROWS = 4
 """Number of frames processed at a time."""
@@ -74,7 +74,7 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     # Singular vectors from a Gram matrix, the strongest first, without those that consist of rounding errors.
     span = _span(flat, max_modes + _SPARE)
     spanned = flat if span is None else multiply(span.T, flat)
-    values, vectors = linalg.eigh(multiply(spanned, spanned, transposed=True).astype(np.float64))
+    values, vectors = linalg.eigh(multiply(spanned, spanned.T).astype(np.float64))
     strongest = values[-1] if values[-1] > 0 else 1.0
     order = [i for i in np.argsort(values)[::-1][:max_modes] if values[i] > 1e-10 * strongest]
     modes = multiply((vectors[:, order] / np.sqrt(values[order])).T, spanned)
@@ -106,8 +106,8 @@ def _span(flat: NDArray[np.float32], count: int) -> NDArray[np.float32] | None:
         return None
     mixed = multiply(np.random.default_rng(0).standard_normal((count, len(flat)), np.float32), flat)
     for _ in range(_POWER_ITERATIONS):
-        mixed = multiply(linalg.qr(multiply(flat, mixed, transposed=True))[0].T, flat)
-    span: NDArray[np.float32] = linalg.qr(multiply(flat, mixed, transposed=True))[0]
+        mixed = multiply(linalg.qr(multiply(flat, mixed.T), mode="economic")[0].T, flat)
+    span: NDArray[np.float32] = linalg.qr(multiply(flat, mixed.T), mode="economic")[0]
     return span
 
 

@@ -13,7 +13,7 @@ from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCL
 from ..face.landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
-from ..numeric.products import dot
+from ..numeric.linalg import multiply
 from .coefficient_model import N_OBSERVED, CoefficientModel, Layer
 from .least_squares import bounded_least_squares, bounded_minimum
 
@@ -175,7 +175,7 @@ class CoefficientSolver:
 
     def _fit(self, values: FloatArray, by: _Fitting, rounds: int, near: FloatArray | None = None) -> FloatArray:
         """Fit coefficients, (N, 44), to known values (N, D), reweighted `rounds` times (equations 9.3 and 9.4)."""
-        gram, products = by.gram, dot(values, by.readout)
+        gram, products = by.gram, multiply(values, by.readout)
         count = len(gram)
         lower, upper = np.zeros(count), np.ones(count)
         found = bounded_least_squares(gram + self._model.together, products - _SPARSITY, lower, upper, near)
@@ -209,8 +209,8 @@ def mirrored(observed: FloatArray) -> FloatArray:
 def _output(layers: Sequence[Layer], x: FloatArray) -> FloatArray:
     """Output of a network for inputs (N, I)."""
     for layer in layers[:-1]:
-        x = np.maximum(dot(x, layer.weights) + layer.offsets, 0.0)
-    return np.asarray(dot(x, layers[-1].weights) + layers[-1].offsets)
+        x = np.maximum(multiply(x, layer.weights) + layer.offsets, 0.0)
+    return np.asarray(multiply(x, layers[-1].weights) + layers[-1].offsets)
 
 
 def _weaker(found: FloatArray) -> NDArray[np.intp]:

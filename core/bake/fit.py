@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
-from ..numeric.products import multiply
+from ..numeric.linalg import multiply
 from .least_squares import bounded_least_squares
 
 RIDGE = 1e-4
@@ -74,11 +74,10 @@ def fit_keys(
     """
     flat = np.ascontiguousarray(keys, dtype=np.float64).reshape(len(keys), -1)
     # Normal equations of equation 9.1, in which the motion enters only by its products with the keys.
-    gram = flat @ flat.T
+    gram = multiply(flat, flat.T)
     gram[np.diag_indices(len(gram))] += RIDGE * max(float(np.trace(gram)) / max(len(gram), 1), 1e-30)
-    products = np.concatenate(
-        [motion[n : n + _ROWS].reshape(len(motion[n : n + _ROWS]), -1) @ flat.T for n in range(0, len(motion), _ROWS)]
-    )
+    parts = (motion[n : n + _ROWS] for n in range(0, len(motion), _ROWS))
+    products = np.concatenate([multiply(part.reshape(len(part), -1).astype(np.float64), flat.T) for part in parts])
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     weights = bounded_least_squares(gram, products, low, high)
     if pairs := [pair for pair in exclusive if low[list(pair)].max() <= 0.0]:

@@ -17,7 +17,7 @@ from ..face.landmarks import outer_eye_distance
 from ..face.rotation import euler_to_matrix
 from ..heads.built_in import load_head
 from ..numeric.arrays import FloatArray
-from ..numeric.products import dot
+from ..numeric.linalg import multiply
 from ..takes.face_space import without_similarity
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..tracking.mirror import mirror_result
@@ -60,7 +60,7 @@ class Observer:
         It contains the displacements without those of the whole head, in outer-eye distances, and the activations above
         rest, which are NaN if they are unknown or ignored.
         """
-        own = dot((self.displacements(result) / self._unit).ravel(), self._own)
+        own = multiply((self.displacements(result) / self._unit).ravel(), self._own)
         above = np.full(len(ACTIONS), np.nan)
         if not self.options.only_landmarks:
             above = self._actions.above_rest(result.actions, result.shape) * self._actions.gains

@@ -128,7 +128,7 @@ def similarity(source: FloatArray, target: FloatArray) -> Pose:
     """
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     a, b = source - from_centre, target - to_centre
-    spread = linalg.svd(a, compute_uv=False)
+    spread = linalg.svdvals(a)
     if spread[1] < 1e-6 * spread[0]:
         raise HeadError("The marked points lie on one line. Mark eyes, nose and mouth.")
     rotation = fit_rotation(a, b)

@@ -69,13 +69,15 @@ class SkinDifference:
             full = linalg.inv(phi + REGULARISATION * np.eye(len(own)))
             evaluation = share[:, None] * kernel.phi(distances(places, own), sigma)
             alike = covariance[np.ix_(region.landmarks, region.landmarks)]
-            matrix = evaluation @ full
-            squared += np.sum((matrix @ alike) * matrix, axis=1)
+            matrix = linalg.multiply(evaluation, full)
+            squared += np.sum(linalg.multiply(matrix, alike) * matrix, axis=1)
             parts.append((region.landmarks, phi, full, alike, evaluation))
         # Weights of the vertices: the inverse of their rms motion plus its mean, which keeps resting ones finite.
         motion = np.sqrt(np.maximum(squared, 0.0))
         weights = 1.0 / np.maximum(motion + motion.mean(), 1e-30)
-        self._parts = [(*part, evaluation.T @ (weights[:, None] * evaluation)) for *part, evaluation in parts]
+        self._parts = [
+            (*part, linalg.multiply(evaluation.T, weights[:, None] * evaluation)) for *part, evaluation in parts
+        ]
 
     def __call__(self, members: NDArray[np.bool_]) -> float:
         """Return the difference for the control points `members`, (3, 66); infinite if a region has none."""

@@ -25,7 +25,7 @@ from ..mesh.nearest import NearestPoints
 from ..mesh.warp import Warp
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from ..numeric.products import multiply
+from ..numeric.linalg import multiply
 from .skin import SkinCovariance, skin_covariance
 
 FORMAT = "facemime-expressions-1"
@@ -215,7 +215,7 @@ def learnt_covariance(
 
     def term(rows: IntArray) -> FloatArray:
         near = np.exp(-0.5 * np.square(distances(places[rows], places[landmarks]) / REACH))
-        return np.asarray(LEARNT_WEIGHT * near * multiply(features[rows], features[landmarks], transposed=True))
+        return np.asarray(LEARNT_WEIGHT * near * multiply(features[rows], features[landmarks].T))
 
     joined = np.flatnonzero(skin.joined)
     for start in range(0, len(joined), _CHUNK):
@@ -293,7 +293,7 @@ def _smooth_weights(offsets: NDArray[np.float32], squared: NDArray[np.float32]) 
     spread += (_FLATNESS * extent)[:, None, None] * np.eye(3, dtype=np.float32)
     # Beyond the extent of the places themselves, a linear function would only magnify their differences.
     aside = -middle * np.minimum(1.0, np.sqrt(extent / np.maximum(np.square(middle).sum(axis=1), 1e-12)))[:, None]
-    slope = linalg.solve(spread, aside[:, :, None])
+    slope = linalg.inverses_of_three(spread) @ aside[:, :, None]
     return np.asarray(near * (1.0 + (away @ slope)[:, :, 0]))
 
 

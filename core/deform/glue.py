@@ -72,7 +72,7 @@ class Glue:
         size = np.trace(squares, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         stiffness = np.where(rim, _RIM_STIFFNESS, _STIFFNESS)[:, None, None]
         inertia = size - squares + stiffness * size + 1e-30 * np.eye(3)
-        turns = np.einsum("nab,nk,nkbc->nkac", linalg.inv(inertia), weights, _cross(arms))
+        turns = np.einsum("nab,nk,nkbc->nkac", linalg.inverses_of_three(inertia), weights, _cross(arms))
         shares = weights[..., None, None] * np.eye(3)
         moments = np.swapaxes(np.concatenate([shares, turns], axis=2), 1, 2)
         self._moments = moments.reshape(len(at), 6, -1).astype(np.float32)

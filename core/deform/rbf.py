@@ -12,7 +12,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -282,7 +281,7 @@ class IncrementalDeformer:
             centres = self._points[fit.columns] + self._moved[fit.columns]
             system = self._kernel.phi(distances(centres, centres), fit.sigma) + self._ridge * np.eye(len(centres))
             step = moved[fit.columns] - self._moved[fit.columns]
-            weights = linalg.lstsq(system, step, rcond=1.0 / MAX_CONDITION)[0]
+            weights = linalg.lstsq(system, step, cond=1.0 / MAX_CONDITION)[0]
             reach = self._kernel.phi(distances(before[fit.rows], centres), fit.sigma)
             after[fit.rows] += share[fit.rows, None] * (reach @ weights)
         self._vertices, self._moved = after, np.asarray(moved)
@@ -341,7 +340,8 @@ class _Fit:
     def _system(self, phi: FloatArray, where: str) -> tuple[FloatArray, float]:
         """Return the regularised kernel matrix and its condition number."""
         system = phi + self.regularisation * np.eye(len(phi))
-        condition = float(linalg.cond(system))
+        values = linalg.svdvals(system)
+        condition = float(values[0] / values[-1]) if values[-1] > 0.0 else math.inf
         if not condition <= MAX_CONDITION:
             raise HeadError(
                 f"The fit is ill-conditioned (condition number {condition:.1e} {where}). "
@@ -360,10 +360,10 @@ def _solve(
     """Compute the matrix of a fit for the vertices `rows`; `evaluation` returns the kernel from them to its points."""
     matrix = np.empty((len(rows), len(columns)), dtype=np.float32)
     # A product with the inverse is much faster than solving, and accurate, as `MAX_CONDITION` limits the condition.
-    inverse, nothing = linalg.inv(system), np.empty((0, 0))
+    inverse = linalg.inv(system)
     for start in range(0, len(rows), _CHUNK):
         part = rows[start : start + _CHUNK]
-        matrix[start : start + _CHUNK] = cv2.gemm(evaluation(part), inverse, 1.0, nothing, 0.0) * share[part, None]
+        matrix[start : start + _CHUNK] = linalg.multiply(evaluation(part), inverse) * share[part, None]
     return RegionMatrix(rows, columns, matrix)
 
 

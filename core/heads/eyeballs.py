@@ -32,7 +32,7 @@ def fit_eyeball(points: FloatArray) -> FloatArray:
     """
     middle = points.mean(axis=0)
     about = points - middle
-    *half, rest = linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1), rcond=None)[0]
+    *half, rest = linalg.lstsq(np.column_stack([about, np.ones(len(about))]), (about**2).sum(axis=1))[0]
     centre = np.array(half) / 2.0
     return np.array([*(middle + centre), np.sqrt(rest + centre @ centre) / (1.0 - LID_THICKNESS)])
 

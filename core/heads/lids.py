@@ -353,7 +353,7 @@ def _sphere_behind(outline: EyeOutline, rim: FloatArray, skin: FloatArray) -> Fl
     for _ in range(_STEPS):
         away = rim - centre
         far = np.linalg.norm(away, axis=1)
-        centre = centre + linalg.lstsq(away / far[:, None], far - _RADIUS, rcond=None)[0]
+        centre = centre + linalg.lstsq(away / far[:, None], far - _RADIUS)[0]
     # Move back until most of the skin lies in front of the sphere.
     across = np.linalg.norm(skin[:, :2] - centre[:2], axis=1)
     over = across < _STEEP * _RADIUS

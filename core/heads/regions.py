@@ -162,7 +162,7 @@ def hold_landmarks(
     radius = _HOLD * outer_eye_distance(points)
     # Residuals are interpolated with Wendland's function, which is 0 beyond the radius.
     between = wendland(distances(points, points), radius / 4.0)
-    amounts = linalg.lstsq(between, lacking.T, rcond=1e-9)[0]
+    amounts = linalg.lstsq(between, lacking.T, cond=1e-9)[0]
     moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
     moved = np.clip(np.where(moved < _MIN_WEIGHT, 0.0, moved), 0.0, 1.0)
     return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))

@@ -1,8 +1,12 @@
-"""Sparse symmetric systems on meshes, solved with numpy alone by nested dissection (method.md, section 5.4).
+"""Sparse symmetric systems on meshes, solved by nested dissection (method.md, section 5.4).
 
 Two halves of a mesh are joined by a line of vertices, the separator. Eliminating it after both halves leaves dense
 systems of a few hundred unknowns instead of one of thousands. There are thousands of small parts and few large ones, so
 parts of a similar size are padded to the same size and eliminated together, as stacks of matrices.
+
+scipy's SuperLU, in single precision and with the ordering for symmetric matrices, takes 0.5 times as long for the 1,300
+vertices of the built-in head, as long for 6,200, twice as long for 25,000 and four times for 100,000, whether numpy has
+a BLAS or, as Blender's own, has none.
 """
 
 from __future__ import annotations
@@ -15,7 +19,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from ..numeric.products import multiply
 
 _LEAF = 64
 """Number of unknowns up to which a part is not divided further, as dense elimination is then faster."""
@@ -24,8 +27,6 @@ _BITS = 2
 _BATCH, _MIN_BATCHES = 64, 32
 """Largest number of parts in a batch, whose matrices fit into the CPU's second-level cache, and smallest number of
 batches of a level with that many parts; parts of a batch should have similar sizes."""
-_SMALL = 16
-"""Size up to which LAPACK inverts a matrix; larger ones are inverted by blocks, as stacked products are faster."""
 
 
 @dataclass(frozen=True)
@@ -328,23 +329,17 @@ def _halve(places: FloatArray, depth: int) -> NDArray[np.intp]:
 
 
 def _products(left: FloatArray, right: FloatArray) -> FloatArray:
-    """Multiply the matrices of two stacks, in their precision."""
-    return multiply(left, right) if left.dtype == np.float32 else np.matmul(left, right)
+    """Multiply the matrices of two stacks. Unlike numpy's, scipy's products are fast in Blender."""
+    return np.stack([linalg.multiply(a, b) for a, b in zip(left, right, strict=True)])
 
 
 def _inverse(matrices: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Invert a stack of symmetric positive definite matrices, (B, P, P), by halves."""
-    size = matrices.shape[-1]
-    if size <= _SMALL:
-        return linalg.inv(matrices)
-    half = size // 2
-    across = matrices[:, :half, half:]
-    first = _inverse(matrices[:, :half, :half])
-    carry = first @ across
-    second = _inverse(matrices[:, half:, half:] - across.transpose(0, 2, 1) @ carry)
-    out = np.empty(matrices.shape, dtype=matrices.dtype)
-    corner = -carry @ second
-    out[:, half:, half:] = second
-    out[:, :half, half:], out[:, half:, :half] = corner, corner.transpose(0, 2, 1)
-    out[:, :half, :half] = first - corner @ carry.transpose(0, 2, 1)
+    """Invert a stack of symmetric positive definite matrices, (B, P, P)."""
+    (factorise,) = linalg.get_lapack_funcs(("potrf",), (matrices,))
+    (invert,) = linalg.get_lapack_funcs(("potri",), (matrices,))
+    out = np.empty_like(matrices)
+    for matrix, inverse in zip(matrices, out, strict=True):
+        inverse[...] = invert(factorise(matrix.T)[0])[0].T
+    lower = np.tril_indices(matrices.shape[-1], -1)
+    out[:, lower[1], lower[0]] = out[:, lower[0], lower[1]]
     return out

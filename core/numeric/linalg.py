@@ -1,52 +1,94 @@
-"""numpy's linear algebra, one call at a time.
+"""scipy's linear algebra, in one thread: `linalg.eigh`, for example, is `scipy.linalg.eigh`.
 
-Blender's own numpy is built without LAPACK. numpy's substitute for it has global variables, so that before numpy 2.2
-two threads that use it at once get wrong results or end the process (numpy, issue 22509). These functions wait for each
-other instead; otherwise they are those of `numpy.linalg`. OpenCV solves the small systems of each frame without a wait.
+numpy calls LAPACK and multiplies large matrices fast only if it is built with a BLAS. Blender's own numpy is built
+without one: it takes up to fifty times as long, and before numpy 2.2 two threads that use its substitute for LAPACK at
+once get wrong results or end the process (numpy, issue 22509). scipy brings both, safe in threads.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import wraps
-from threading import Lock
-from typing import Any, TypeVar, cast
+import os
+from functools import cache
+from typing import Any, cast
 
-import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from .arrays import FloatArray
 
-_Function = TypeVar("_Function", bound=Callable[..., Any])
-_LOCK = Lock()
+
+@cache
+def _scipy() -> Any:
+    """Load scipy, which takes a third of a second, when it is first needed rather than when the extension is enabled.
+
+    Its BLAS gets a single thread. A BLAS shares products of ten thousand numbers among its threads, which on a busy
+    machine wait for each other for a millisecond. The number belongs to the whole process, so that limits set around
+    calls would end those of other threads; but this BLAS is scipy's alone, and numpy's keeps its threads.
+    """
+    import scipy.linalg  # type: ignore[import-untyped]
+    from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
+
+    own = _full_path(os.path.dirname(scipy.__file__))  # the name of the folder of its libraries begins like this, too
+    for library in ThreadpoolController().lib_controllers:
+        if _full_path(library.filepath).startswith(own):
+            library.set_num_threads(1)
+    return scipy.linalg
 
 
-def _alone(function: _Function) -> _Function:
-    """Return `function`, made to wait until no other of these functions is running."""
-
-    @wraps(function)
-    def alone(*arguments: Any, **options: Any) -> Any:
-        with _LOCK:
-            return function(*arguments, **options)
-
-    return cast("_Function", alone)
+def _full_path(path: str) -> str:
+    return os.path.normcase(os.path.realpath(path))
 
 
-cond = _alone(np.linalg.cond)
-det = _alone(np.linalg.det)
-eigh = _alone(np.linalg.eigh)
-eigvalsh = _alone(np.linalg.eigvalsh)
-inv = _alone(np.linalg.inv)
-lstsq = _alone(np.linalg.lstsq)
-matrix_rank = _alone(np.linalg.matrix_rank)
-norm = _alone(np.linalg.norm)
-qr = _alone(np.linalg.qr)
-solve = _alone(np.linalg.solve)
-svd = _alone(np.linalg.svd)
+def __getattr__(name: str) -> Any:
+    if name.startswith("_"):
+        raise AttributeError(name)
+    function = globals()[name] = getattr(_scipy(), name)
+    return function
+
+
+def multiply(left: FloatArray, right: FloatArray) -> NDArray[Any]:
+    """Multiply matrices, or a matrix and a vector.
+
+    Parameters
+    ----------
+    left : (M, K) or (K,) array
+        `A`.
+    right : (K, N) or (K,) array
+        `B`; not both are vectors.
+
+    Returns
+    -------
+    (M, N), (M,) or (N,) array
+        ``A B``, in single precision if that of one of them is single, otherwise in double precision.
+
+    Notes
+    -----
+    scipy keeps Python's lock during a product, unlike numpy and OpenCV. What is computed in a thread while Blender's
+    window is in use should consist of products that take milliseconds.
+    """
+    single = "f" in (left.dtype.char, right.dtype.char)
+    if not left.size or not right.size:
+        return np.zeros(left.shape[:-1] + right.shape[1:], np.float32 if single else np.float64)
+    blas = _scipy().blas
+    # A BLAS stores columns, so to it rows are the transpose: (A B)^T = B^T A^T.
+    if right.ndim == 1:
+        matrix, turned = _by_columns(left)
+        return np.asarray((blas.sgemv if single else blas.dgemv)(1.0, matrix, right, trans=not turned))
+    matrix, turned = _by_columns(right)
+    if left.ndim == 1:
+        return np.asarray((blas.sgemv if single else blas.dgemv)(1.0, matrix, left, trans=turned))
+    other, other_turned = _by_columns(left)
+    product = (blas.sgemm if single else blas.dgemm)(1.0, matrix, other, trans_a=turned, trans_b=other_turned)
+    return np.asarray(product.T)
+
+
+def _by_columns(matrix: FloatArray) -> tuple[FloatArray, bool]:
+    """Return the transpose of a matrix as columns without a copy, or the matrix itself and True if it has columns."""
+    return (matrix.T, False) if matrix.flags.c_contiguous else (matrix, True)
 
 
 def solve_definite(matrix: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve a small symmetric positive definite system, by OpenCV, and so beside other threads.
+    """Solve a small symmetric positive definite system, in a fifth of the time that `solve` takes.
 
     Parameters
     ----------
@@ -69,5 +111,17 @@ def solve_definite(matrix: FloatArray, right: FloatArray) -> FloatArray:
     -----
     A matrix that is not definite because of rounding takes longer.
     """
-    solved, solution = cv2.solve(matrix, right, flags=cv2.DECOMP_CHOLESKY)
-    return np.asarray(solution[:, 0] if solved else solve(matrix, right))
+    lapack = _scipy().lapack
+    _, solution, fault = lapack.dposv(matrix.T, right)
+    if fault:
+        *_, solution, fault = lapack.dgesv(matrix, right)
+    if fault:
+        raise np.linalg.LinAlgError("The matrix is singular.")
+    return cast(FloatArray, solution)
+
+
+def inverses_of_three(matrices: NDArray[Any]) -> NDArray[Any]:
+    """Invert a stack of matrices (..., 3, 3) by their cofactors; scipy takes one matrix at a time."""
+    a, b, c = np.moveaxis(matrices, -2, 0)
+    cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1)
+    return np.asarray(cofactors / (a * cofactors[..., 0]).sum(axis=-1)[..., None, None])

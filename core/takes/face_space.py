@@ -14,7 +14,7 @@ from ..files.archives import open_shipped
 from ..files.assets import ASSETS
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
-from ..numeric.products import dot
+from ..numeric.linalg import multiply
 
 FORMAT = "facemime-face-space-1"
 FACE_SPACE_FILE = ASSETS / "expressions" / "face_space.npz"
@@ -105,23 +105,23 @@ class FaceSpace:
         gram, activations = shown @ shown.T, np.zeros((len(shapes), len(shown)))
         person, of_mean = np.zeros(away.shape[1]), away @ shown.T
         for _ in range(_ROUNDS):
-            pull = of_mean - dot(shown, person)
+            pull = of_mean - multiply(shown, person)
             for _ in range(_SWEEPS):
                 for unit, size in enumerate(gram.diagonal()):
                     # The gradient without this unit's own contribution gives its best value in closed form.
-                    left = pull[:, unit] - dot(activations, gram[unit]) + activations[:, unit] * size
+                    left = pull[:, unit] - multiply(activations, gram[unit]) + activations[:, unit] * size
                     np.clip((left - _SPARSITY) / (size + _RIDGE), 0.0, _MAX_ACTIVATION, out=activations[:, unit])
                 yield activations
             # Calm frames say most about the person, as they depend least on how well the units match the expression.
             share = weights / (_CALM**2 + np.square(self.amount(activations)))
             share *= min(_INDEPENDENT, len(shapes)) / share.sum()
-            left_over = dot(away.T, share) - dot(dot(activations.T, share), shown)
-            along = dot(left_over, axes)
-            person = dot(axes, along * spread / (share.sum() * spread + 1.0))
+            left_over = multiply(away.T, share) - multiply(multiply(activations.T, share), shown)
+            along = multiply(left_over, axes)
+            person = multiply(axes, along * spread / (share.sum() * spread + 1.0))
 
     def amount(self, activations: FloatArray) -> FloatArray:
         """Amount of expression of activations (N, U), (N,): length of all displacements in x and y in eye distances."""
-        squared = (dot(activations, self._across) * activations).sum(axis=1)
+        squared = (multiply(activations, self._across) * activations).sum(axis=1)
         return np.asarray(np.sqrt(np.maximum(squared, 0.0)))
 
     @cached_property
@@ -167,7 +167,7 @@ def without_similarity(displacements: FloatArray, mean: FloatArray) -> FloatArra
     """
     whole = np.stack(list(_similarities(mean))).reshape(7, -1)
     flat = displacements.reshape(len(displacements), -1)
-    moved, *_ = linalg.lstsq((whole * _TRUST).T, (flat * _TRUST).T, rcond=None)
+    moved, *_ = linalg.lstsq((whole * _TRUST).T, (flat * _TRUST).T)
     return np.asarray(flat - moved.T @ whole).reshape(displacements.shape)
 
 

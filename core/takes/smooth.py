@@ -176,29 +176,7 @@ def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray
         bands[0, i : i + len(middle)] += rows[i] ** 2
         for j in range(i + 1, 3):
             bands[j - i, i : i + len(middle)] += rows[i] * rows[j]
-    return _solve_pentadiagonal(bands, share[:, None] * values)
-
-
-def _solve_pentadiagonal(bands: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve a symmetric positive definite pentadiagonal system, (N, D), by the factors L D L^T of its matrix.
-
-    `bands[k, i]` (3, N) couples the unknowns i and i + k.
-    """
-    count = len(right)
-    main, near, far = (band.tolist() for band in bands)
-    # Padding with two rows of an identity in front, and with two of zeros at the end, avoids special cases.
-    d, c, e = [1.0, 1.0], [0.0, 0.0], [0.0, 0.0]
-    z = np.zeros((count + 4, right.shape[1]))
-    for i in range(count):
-        e.append(far[i - 2] / d[i] if i > 1 else 0.0)
-        c.append((near[i - 1] - e[-1] * c[-1] * d[i]) / d[i + 1] if i > 0 else 0.0)
-        d.append(main[i] - c[-1] ** 2 * d[i + 1] - e[-1] ** 2 * d[i])
-        z[i + 2] = right[i] - c[-1] * z[i + 1] - e[-1] * z[i]
-    z[2 : count + 2] /= np.array(d[2:])[:, None]
-    c, e = [*c, 0.0, 0.0], [*e, 0.0, 0.0]
-    for i in range(count + 1, 1, -1):
-        z[i] -= c[i + 1] * z[i + 1] + e[i + 2] * z[i + 2]
-    return z[2 : count + 2]
+    return np.asarray(linalg.solveh_banded(bands, share[:, None] * values, lower=True))
 
 
 @dataclass(frozen=True)

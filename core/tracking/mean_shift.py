@@ -9,7 +9,7 @@ from math import inf
 import numpy as np
 
 from ..numeric.arrays import FloatArray
-from ..numeric.linalg import solve_definite
+from ..numeric.linalg import multiply, solve_definite
 from .experts import ResponseMaps
 from .pdm import N_POSE, FittedShape, PointDistributionModel, normal_matrix
 
@@ -115,11 +115,11 @@ def regularised_mean_shift(
             normal = normal_matrix(flat, of_rows(weights), prior)
         # J^T W v, summed over the maps of each landmark, and the right-hand side of equation 3.4.
         pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
-        right = np.concatenate(pull) @ flat
+        right = multiply(np.concatenate(pull), flat)
         right[N_POSE:] -= prior[N_POSE:] * (start.shape_params + moved[N_POSE:])
         delta = solve_definite(normal, right)  # Equation 3.4.
         moved += delta
-        landmarks += (flat @ delta).reshape(2, -1).T
+        landmarks += multiply(flat, delta).reshape(2, -1).T
     return model.step(start.pose, start.shape_params, moved)
 
 

@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from math import cos, pi, sin
 
-import cv2
 import numpy as np
 
 from ..face.landmarks import MIRROR
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray
-from ..numeric.linalg import solve_definite
-from ..numeric.products import dot
+from ..numeric.linalg import multiply, solve_definite
 
 N_POSE = 6
 """`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""
@@ -83,7 +81,7 @@ class PointDistributionModel:
 
     def shape(self, shape_params: FloatArray) -> FloatArray:
         """Return the landmarks in the head frame, (N, 3), for coefficients (K,)."""
-        out = dot(self._shape_basis, shape_params).reshape(-1, 3)
+        out = multiply(self._shape_basis, shape_params).reshape(-1, 3)
         out += self.mean_shape
         return out
 
@@ -275,7 +273,7 @@ def solve_update(
     """
     flat = jacobian.reshape(-1, jacobian.shape[2])
     of_rows = np.concatenate([weights, weights])
-    right = (of_rows * shift.reshape(-1)) @ flat
+    right = multiply(of_rows * shift.reshape(-1), flat)
     right[N_POSE:] -= prior[N_POSE:] * shape_params
     return solve_definite(normal_matrix(flat, of_rows, prior), right)
 
@@ -296,12 +294,8 @@ def normal_matrix(flat: FloatArray, weights: FloatArray, prior: FloatArray) -> F
     -------
     (P, P) float64
         The matrix.
-
-    Notes
-    -----
-    By OpenCV, for the reasons given in `core/numeric/products.py`.
     """
-    normal = np.asarray(cv2.mulTransposed(flat * np.sqrt(weights)[:, None], aTa=True))
+    normal = multiply(flat.T, flat * weights[:, None])
     # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
     normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9
     return normal

@@ -33,6 +33,7 @@ def main() -> dict:
     import cv2
 
     assert Path(cv2.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), cv2.__file__
+    assert "scipy" not in sys.modules, "scipy slows down enabling"
     assert bpy.ops.facemime.add_head(units=True) == {"FINISHED"}
     head = bpy.context.active_object
     assert bpy.ops.facemime.puppet_video(filepath=CLIP) == {"FINISHED"}
@@ -60,6 +61,9 @@ def main() -> dict:
     measured |= bake_every_way(bpy, head)
     head.vertex_groups.clear()
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"} and bpy.ops.facemime.check_head() == {"FINISHED"}
+    import scipy
+
+    assert Path(scipy.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), scipy.__file__
     own = keep_files(bpy)
     for _ in range(2):
         addon_utils.disable(MODULE)

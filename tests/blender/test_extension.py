@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -15,9 +16,9 @@ from tests.helpers.blenders import ROOT, blender_python
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
 
 
-def archive(platform: str) -> Path:
-    """Return the newest zip of a platform."""
-    found = sorted((ROOT / "dist").glob(f"facemime-*-{platform}.zip"))
+def archive(blender: str, platform: str) -> Path:
+    """Return the newest zip for a Blender, "4.2" or "5.1" and later, and a platform."""
+    found = sorted((ROOT / "dist").glob(f"facemime-*-blender_{blender}-{platform}.zip"))
     if not found:
         pytest.skip("the extension is not built: make build")
     return found[-1]
@@ -27,8 +28,8 @@ def archive(platform: str) -> Path:
 @pytest.mark.parametrize("version", ["4.2", "4.5", "5.0", "5.2"])
 @pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
 def test_the_zip_installs_puppets_a_head_and_uninstalls_cleanly(version):
-    python = blender_python(version)
-    command = [str(python), str(ROOT / "tests" / "blender" / "extension_run.py"), str(archive("linux_x64")), str(CLIP)]
+    python, zipped = blender_python(version), archive("5.1" if version == "5.2" else "4.2", "linux_x64")
+    command = [str(python), str(ROOT / "tests" / "blender" / "extension_run.py"), str(zipped), str(CLIP)]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
     done = subprocess.run(command, capture_output=True, text=True, timeout=500, env=environment, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
@@ -41,22 +42,30 @@ def test_the_zip_installs_puppets_a_head_and_uninstalls_cleanly(version):
 
 
 @pytest.mark.parametrize("platform", ["linux_x64", "windows_x64", "macos_arm64", "macos_x64"])
-def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(platform):
-    names = zipfile.ZipFile(archive(platform)).namelist()
-    wheels = [name for name in names if name.endswith(".whl") and not name.endswith("-none-any.whl")]
-    assert [name for name in names if name.startswith("wheels/websockets-") and name.endswith("-none-any.whl")]
+@pytest.mark.parametrize(("blender", "python"), [("4.2", "cp311"), ("5.1", "cp313")])
+def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(blender, python, platform):
+    zipped = zipfile.ZipFile(archive(blender, platform))
+    names = zipped.namelist()
+    wheels = [name.removeprefix("wheels/") for name in names if name.endswith(".whl")]
+    pure = [name for name in wheels if name.endswith("-none-any.whl")]
+    compiled = sorted(set(wheels) - set(pure))
     marks = {
         "linux_x64": ("linux",),
         "windows_x64": ("win_amd64",),
         "macos_arm64": ("arm64", "universal2"),
-        "macos_x64": ("macosx_13_0_x86", "universal2"),
+        "macos_x64": ("_x86_64", "universal2"),
     }
-    assert {name.split("-")[0] for name in wheels} == {
-        "wheels/opencv_contrib_python_headless",
-        "wheels/pycryptodomex",
-    }
-    assert len(wheels) == 2
-    assert all(any(mark in name for mark in marks[platform]) for name in wheels)
+    assert sorted(name.split("-")[0] for name in pure) == ["threadpoolctl", "websockets"]
+    assert [name.split("-")[0] for name in compiled] == [
+        "opencv_contrib_python_headless",
+        "pycryptodomex",
+        "scipy",
+    ]
+    assert all(any(mark in name for mark in marks[platform]) for name in compiled)
+    assert ["abi3" if "-abi3-" in name else name.split("-")[3] for name in compiled] == ["abi3", "abi3", python]
+    manifest = tomllib.loads(zipped.read("blender_manifest.toml").decode())
+    assert manifest["blender_version_min"] == f"{blender}.0"
+    assert manifest.get("blender_version_max") == {"4.2": "5.1.0"}.get(blender)
     for needed in (
         "__init__.py",
         "LICENSE",

@@ -47,7 +47,7 @@ def run_suites(version: str, folder: Path) -> ElementTree.Element:
         origin = origin.parent if origin.name == "__init__.py" else origin
         (folder / origin.name).symlink_to(origin)
     (folder / "facemime").symlink_to(ROOT)
-    unpack_wheels(folder)
+    unpack_wheels(python, folder)
     suites = [str(ROOT / "tests" / "blender" / f"test_{suite}.py") for suite in SUITES]
     options = ["-p", "no:cacheprovider", "-p", "pytest_timeout", "-W", "ignore::DeprecationWarning"]
     environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST", "VIRTUAL_ENV"))}

@@ -53,7 +53,7 @@ class Player:
         paths = folder / "paths"
         paths.mkdir()
         (paths / "facemime").symlink_to(ROOT)
-        unpack_wheels(paths)
+        unpack_wheels(self._python, paths)
         inherited = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "PYTEST", "VIRTUAL_ENV"))}
         self._environment = inherited | {
             "PYTHONPATH": str(paths),

@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from facemime.core.takes.file import load_take, save_take
-from tests.gui.conftest import QUICK, SUITES, archive, place_of
+from tests.gui.conftest import QUICK, SUITES, copy_archive, place_of
 from tests.helpers.gui.window import ROOT
 from tests.helpers.takes import performance
 
@@ -40,7 +40,7 @@ class Installed:
         self._place = place
         self.folder = Path(tempfile.mkdtemp(prefix="facemime-", dir=place / "tmp"))
         self._inside = Path("/") / self.folder.relative_to(place)
-        shutil.copy(archive(), self.folder / "facemime.zip")
+        copy_archive(place, self.folder / "facemime.zip")
         self.run(
             "--command", "extension", "install-file", "-r", "user_default", "--enable", "facemime.zip", timeout=600
         )

@@ -20,8 +20,10 @@ def blender_python(version: str) -> Path:
     return place / "bin" / "python"
 
 
-def unpack_wheels(folder: Path) -> None:
-    """Unpack the extension's compiled wheels for Linux, which those environments do not contain."""
-    for wheel in (ROOT / "wheels").glob("*manylinux*.whl"):
+def unpack_wheels(python: Path, folder: Path) -> None:
+    """Unpack the extension's wheels for Linux and this Python, which those environments do not contain."""
+    version = next((python.parents[1] / "lib").glob("python3.*")).name.removeprefix("python").replace(".", "")
+    marks = ("-none-any", "-abi3-manylinux", f"-cp{version}-manylinux")
+    for wheel in (path for path in (ROOT / "wheels").glob("*.whl") if any(mark in path.name for mark in marks)):
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(folder)

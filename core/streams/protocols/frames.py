@@ -225,6 +225,6 @@ def to_quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
             [0.0, 0.0, 0.0, t[0, 0] + t[1, 1] + t[2, 2]],
         ]
     )
-    vector = linalg.eigh(k, UPLO="U")[1][:, -1]
+    vector = linalg.eigh(k, lower=False)[1][:, -1]
     x, y, z, w = (vector if vector[3] >= 0.0 else -vector).tolist()
     return x, y, z, w

@@ -126,7 +126,7 @@ def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
     middle = shape.mean(axis=0)
     spread = shape - middle
     gram = spread.T @ spread
-    if linalg.matrix_rank(gram, tol=1e-9) < 3:
+    if linalg.svdvals(gram)[-1] <= 1e-9:
         raise PacketError("the points lie in a plane")
     linear = linalg.solve(gram, spread.T @ landmarks).T
     u, scales, vt = linalg.svd(linear, full_matrices=False)

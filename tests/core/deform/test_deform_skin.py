@@ -69,7 +69,7 @@ def test_scale_and_position_of_the_head_do_not_matter():
     turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
     turned = 30.0 * np.asarray(RIG.vertices, float) @ turn.T + 5.0
     again = skin_covariance(turned, RIG.faces, RIG.landmarks, RIG.region_weights)
-    np.testing.assert_allclose(again.vertices, COVARIANCE.vertices, rtol=2e-6, atol=1e-6)
+    np.testing.assert_allclose(again.vertices, COVARIANCE.vertices, rtol=1e-5, atol=5e-6)
 
 
 def test_polygons_of_any_size_are_accepted():

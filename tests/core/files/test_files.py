@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from facemime.core.errors import OutputError
-from facemime.core.files import writing as files
+from facemime.core.files.writing import writing as files
 from facemime.core.files.locks import holding, lock_of, sweep, temporary_folder
 from facemime.core.files.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
 
@@ -209,7 +209,7 @@ def test_the_next_run_deletes_the_pictures_of_a_killed_preview(tmp_path, monkeyp
 def test_outputs_are_written_on_file_systems_without_locks(tmp_path, monkeypatch):
     if sys.platform == "win32":
         pytest.skip("it has them")
-    from facemime.core.files import locks
+    from facemime.core.files.writing import locks
 
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")

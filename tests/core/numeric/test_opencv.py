@@ -8,20 +8,24 @@ import pytest
 from facemime.core.errors import ModelError
 from facemime.core.numeric import opencv
 from facemime.core.numeric.onnx import Node, encode_network
-from facemime.core.numeric.products import _network
+
+
+def _encoded() -> bytes:
+    """A network that multiplies two matrices."""
+    return encode_network([Node("Gemm", ("left", "right"), "product")], dict.fromkeys(("left", "right"), (1, 1)))
 
 
 @pytest.mark.parametrize("version", ["4.10.0", "5.0.0", "5.1.0-dev"])
 def test_an_unsupported_version_is_named_with_what_to_do(monkeypatch, version) -> None:
     monkeypatch.setattr(cv2, "__version__", version)
     with pytest.raises(ModelError, match=rf"OpenCV {version} is installed.*Disable other extensions"):
-        _network(2, False)
+        opencv.read_network(_encoded())
 
 
 @pytest.mark.parametrize("version", ["4.11.0", "4.14.0"])
 def test_later_versions_of_the_same_series_are_accepted(monkeypatch, version) -> None:
     monkeypatch.setattr(cv2, "__version__", version)
-    assert isinstance(_network(3, False), cv2.dnn.Net)
+    assert isinstance(opencv.read_network(_encoded()), cv2.dnn.Net)
 
 
 def test_a_network_that_opencv_cannot_read_is_an_error_of_the_model() -> None:
