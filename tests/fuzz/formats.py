@@ -26,9 +26,9 @@ from facemime.core.control_points.table import draw_curve, drop_by_hand, point_r
 from facemime.core.deform.follow import follow_matrix
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError, SourceError
+from facemime.core.files import preset_files as presets
 from facemime.core.files.reading import parse_json
 from facemime.core.files.setting import Choice, Setting
-from facemime.core.files.writing import preset_files as presets
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas

@@ -14,9 +14,9 @@ from pathlib import Path
 import pytest
 
 from facemime.core.errors import OutputError
+from facemime.core.files import writing as files
 from facemime.core.files.locks import holding, lock_of, sweep, temporary_folder
 from facemime.core.files.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
-from facemime.core.files.writing import writing as files
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="permissions and links as POSIX has them")
 
