@@ -209,7 +209,7 @@ def test_the_next_run_deletes_the_pictures_of_a_killed_preview(tmp_path, monkeyp
 def test_outputs_are_written_on_file_systems_without_locks(tmp_path, monkeypatch):
     if sys.platform == "win32":
         pytest.skip("it has them")
-    from facemime.core.files.writing import locks
+    from facemime.core.files import locks
 
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")
