@@ -3,18 +3,14 @@
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..core.streams.stream_settings import SendSettings, StreamSettings
+from ..core.streams.sender import SENT
+from ..core.streams.stream_settings import PROTOCOLS, SendSettings, StreamSettings
 from ..core.streams.transport.addresses import EVERYWHERE, LOOPBACK
 from ..core.viewer.viewer_settings import PORT
 from .rna import with_settings
 
-_BOTH_WAYS = (
-    ("own", "Facemime", "Another computer with Facemime", 0),
-    ("livelink", "Live Link Face", "Epic's iPhone app in ARKit mode, or Unreal Engine", 1),
-    ("vmc", "VMC", "VTuber programs that use the VMC protocol", 2),
-    ("openseeface", "OpenSeeFace", "OpenSeeFace's tracker, or VTuber programs that receive from it", 3),
-)
-"""Protocols that are received and sent."""
+_ITEMS = {name: (name, of.label, of.description, of.number) for name, of in PROTOCOLS.items()}
+"""Items of the menu of protocols."""
 
 
 @with_settings(StreamSettings)
@@ -24,17 +20,7 @@ class FacemimeStream(bpy.types.PropertyGroup):
     protocol: EnumProperty(
         name="From",
         description="App or program that sends the face",
-        items=(
-            *_BOTH_WAYS,
-            ("ifacialmocap", "iFacialMocap", "The app iFacialMocap on an iPhone", 4),
-            ("facemotion3d", "Facemotion3d", "The app Facemotion3d on a phone", 5),
-            ("vtubestudio", "VTube Studio, MeowFace", "VTube Studio on an iPhone, or MeowFace on Android", 6),
-            ("facecap", "Face Cap", "The app Face Cap on an iPhone", 7),
-            ("vertices", "Vertices", "Moved vertices from another Facemime or an engine over TCP", 8),
-            ("ifacialmocap-tcp", "iFacialMocap over TCP", "The app iFacialMocap, in networks that lose packets", 9),
-            ("vrcfacetracking", "VRCFaceTracking", "VRCFaceTracking, for headsets that track the face", 11),
-            ("facemotion3d-tcp", "Facemotion3d over TCP", "The app Facemotion3d, in networks that lose packets", 10),
-        ),
+        items=tuple(_ITEMS.values()),
         default="livelink",
     )
     host: StringProperty(
@@ -86,7 +72,7 @@ class FacemimeOutput(bpy.types.PropertyGroup):
         name="To",
         description="Program that receives the face",
         items=(
-            *_BOTH_WAYS,
+            *(_ITEMS[name] for name in SENT),
             ("vertices", "Vertices", "An engine that receives the moved vertices over TCP", 4),
             ("vtubestudio", "VTube Studio", "VTube Studio on a computer, which asks you for permission once", 5),
         ),

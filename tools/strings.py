@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[1]
 TRANSLATIONS = ROOT / "assets" / "translations"
 _ATTRIBUTES = {"bl_label", "bl_description"}
 _KEYWORDS = {"name", "description", "text", "heading", "title", "message"}
-_CALLS = {"_", "pgettext_iface", "pgettext_rpt", "labels", "label", "require"}
+_CALLS = {"StreamProtocol", "_", "pgettext_iface", "pgettext_rpt", "labels", "label", "require"}
 _SETTINGS = {"setting", "Choice"}
 """Their first argument is a value."""
 _ERRORS = {
@@ -66,7 +66,7 @@ _TABLES = {
     "REFUSALS",
 }
 """Dictionaries, or tuples of them, whose values are messages."""
-_ITEMS = {"_BOTH_WAYS", "_POSES"}
+_ITEMS = {"_POSES"}
 """Variables to which items of enumerations are assigned."""
 _LABELS = {"MARKS"}
 """Those that are shown with a capital letter."""

@@ -22,17 +22,16 @@ from ..tracking.result import CAMERA_DISTANCE, TrackResult
 from .casting import Address
 from .protocols import live_link, openseeface, vmc
 from .protocols.frames import MAX_DATAGRAM, FaceValues, PacketError
-from .stream_settings import EXPRESSIONS, OWN, SendSettings
+from .stream_settings import EXPRESSIONS, OWN, PROTOCOLS, SendSettings
 from .transport import datagram
 from .transport.addresses import cannot_send, nobody_receives, resolve
 from .transport.security import read_key
 from .transport.sessions import OwnSender
 
-SENT = {OWN: "Facemime", "vmc": "VMC", "livelink": "Live Link Face", "openseeface": "OpenSeeFace"}
-"""Protocols that can be sent, and their labels."""
+SENT = tuple(name for name, protocol in PROTOCOLS.items() if protocol.sent)
+"""Names of the protocols that can be sent."""
 VTUBE_STUDIO = "vtubestudio"
 """Name of the protocol sent by `vtube_studio_api`, which needs a library."""
-_PORTS = {OWN: datagram.PORT, "vmc": vmc.PORT, "livelink": live_link.PORT, "openseeface": openseeface.PORT}
 _HELLO_EVERY = (0.25, 1.0)
 """Seconds between handshakes, before and after the receiver has answered."""
 _MAX_ANSWERS = 64
@@ -114,7 +113,7 @@ class StreamSender:
             raise SourceError("A stream to another computer needs a shared key. Choose its file under Key.")
         self.settings, self.options = settings, options
         self.sent, self.message = 0, ""
-        self._family, self._address = resolve(settings.host, settings.port or _PORTS[settings.protocol])
+        self._family, self._address = resolve(settings.host, settings.port or PROTOCOLS[settings.protocol].port)
         self._own = OwnSender(None if settings.key is None else read_key(settings.key))
         # The receiver of VMC may answer from any port, which a connected socket would not receive.
         self._listens = settings.protocol == "vmc" and settings.expressions == "automatic"

@@ -56,6 +56,12 @@ class StreamProtocol:
         What each text over TCP ends with; b"" if messages follow their length.
     stop : bytes
         Datagram that asks the phone to end; b"" for none.
+    description : str
+        Its tooltip: what sends it.
+    number : int
+        Number that a .blend file stores.
+    sent : bool
+        Whether `StreamSender` sends it, too.
     """
 
     label: str
@@ -68,6 +74,9 @@ class StreamProtocol:
     connected: bool = False
     end: bytes = b""
     stop: bytes = b""
+    description: str = ""
+    number: int = 0
+    sent: bool = False
 
 
 @dataclass(frozen=True)
@@ -233,8 +242,33 @@ EXPRESSIONS = settings_of(SendSettings)["expressions"].values
 
 
 PROTOCOLS: dict[str, StreamProtocol] = {
-    OWN: StreamProtocol("Facemime", datagram.PORT, None),
-    "livelink": StreamProtocol("Live Link Face", live_link.PORT, lambda s: LiveLinkDecoder(s.angles)),
+    OWN: StreamProtocol(
+        "Facemime", datagram.PORT, None, description="Another computer with Facemime", number=0, sent=True
+    ),
+    "livelink": StreamProtocol(
+        "Live Link Face",
+        live_link.PORT,
+        lambda s: LiveLinkDecoder(s.angles),
+        description="Epic's iPhone app in ARKit mode, or Unreal Engine",
+        number=1,
+        sent=True,
+    ),
+    "vmc": StreamProtocol(
+        "VMC",
+        vmc.PORT,
+        lambda s: VmcDecoder(),
+        description="VTuber programs that use the VMC protocol",
+        number=2,
+        sent=True,
+    ),
+    "openseeface": StreamProtocol(
+        "OpenSeeFace",
+        openseeface.PORT,
+        lambda s: OpenSeeFaceDecoder(),
+        description="OpenSeeFace's tracker, or VTuber programs that receive from it",
+        number=3,
+        sent=True,
+    ),
     "ifacialmocap": StreamProtocol(
         "iFacialMocap",
         ifacialmocap.PORT,
@@ -242,6 +276,40 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.START,
         face_motion.PHONE_PORT,
+        description="The app iFacialMocap on an iPhone",
+        number=4,
+    ),
+    "facemotion3d": StreamProtocol(
+        "Facemotion3d",
+        ifacialmocap.PORT,
+        lambda s: IFacialMocapDecoder(),
+        ifacialmocap.FACEMOTION_PORT,
+        lambda port: ifacialmocap.FACEMOTION_START,
+        face_motion.PHONE_PORT,
+        stop=ifacialmocap.FACEMOTION_STOP,
+        description="The app Facemotion3d on a phone",
+        number=5,
+    ),
+    "vtubestudio": StreamProtocol(
+        "VTube Studio, MeowFace",
+        vtube_studio.PORT,
+        lambda s: VTubeStudioDecoder(),
+        vtube_studio.PORT,
+        vtube_studio.request,
+        leased=True,
+        description="VTube Studio on an iPhone, or MeowFace on Android",
+        number=6,
+    ),
+    "facecap": StreamProtocol(
+        "Face Cap", face_cap.PORT, lambda s: FaceCapDecoder(), description="The app Face Cap on an iPhone", number=7
+    ),
+    VERTICES: StreamProtocol(
+        "Vertices",
+        vertices.PORT,
+        lambda s: VertexDecoder(),
+        connected=True,
+        description="Moved vertices from another Facemime or an engine over TCP",
+        number=8,
     ),
     "ifacialmocap-tcp": StreamProtocol(
         "iFacialMocap over TCP",
@@ -253,15 +321,15 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         connected=True,
         end=ifacialmocap.TCP_END,
         stop=ifacialmocap.TCP_STOP,
+        description="The app iFacialMocap, in networks that lose packets",
+        number=9,
     ),
-    "facemotion3d": StreamProtocol(
-        "Facemotion3d",
-        ifacialmocap.PORT,
-        lambda s: IFacialMocapDecoder(),
-        ifacialmocap.FACEMOTION_PORT,
-        lambda port: ifacialmocap.FACEMOTION_START,
-        face_motion.PHONE_PORT,
-        stop=ifacialmocap.FACEMOTION_STOP,
+    "vrcfacetracking": StreamProtocol(
+        "VRCFaceTracking",
+        vrcfacetracking.PORT,
+        lambda s: VrcFaceTrackingDecoder(),
+        description="VRCFaceTracking, for headsets that track the face",
+        number=11,
     ),
     "facemotion3d-tcp": StreamProtocol(
         "Facemotion3d over TCP",
@@ -273,19 +341,8 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         connected=True,
         end=ifacialmocap.FACEMOTION_TCP_END,
         stop=ifacialmocap.FACEMOTION_STOP,
+        description="The app Facemotion3d, in networks that lose packets",
+        number=10,
     ),
-    "vtubestudio": StreamProtocol(
-        "VTube Studio, MeowFace",
-        vtube_studio.PORT,
-        lambda s: VTubeStudioDecoder(),
-        vtube_studio.PORT,
-        vtube_studio.request,
-        leased=True,
-    ),
-    "vmc": StreamProtocol("VMC", vmc.PORT, lambda s: VmcDecoder()),
-    "openseeface": StreamProtocol("OpenSeeFace", openseeface.PORT, lambda s: OpenSeeFaceDecoder()),
-    "vrcfacetracking": StreamProtocol("VRCFaceTracking", vrcfacetracking.PORT, lambda s: VrcFaceTrackingDecoder()),
-    "facecap": StreamProtocol("Face Cap", face_cap.PORT, lambda s: FaceCapDecoder()),
-    VERTICES: StreamProtocol("Vertices", vertices.PORT, lambda s: VertexDecoder(), connected=True),
 }
-"""Protocols that can be received, by the name that commands and files use."""
+"""Protocols that can be received, by the name that commands and files use, in the order of the menu."""
