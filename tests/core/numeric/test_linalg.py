@@ -86,7 +86,7 @@ def test_small_matrices_are_inverted_as_a_stack() -> None:
 def test_only_scipys_own_blas_is_limited_to_one_thread() -> None:
     code = (
         "from threadpoolctl import threadpool_info\n"
-        "from facemime.core import linalg\n"
+        "from facemime.core.numeric import linalg\n"
         "import numpy, sys\n"
         "before = {i['filepath']: i['num_threads'] for i in threadpool_info()}\n"
         "assert 'scipy' not in sys.modules\n"

@@ -13,8 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parents[1]
-ROOT = HERE.parents[1]
+HERE = Path(__file__).resolve().parent
+ROOT = HERE.parents[2]
 MODULE = "bl_ext.user_default.facemime"
 SHOTS = Path(os.environ.get("FACEMIME_SHOTS", ROOT / "build" / "gui"))
 _DEADLINE = 120.0
