@@ -302,13 +302,13 @@ _BAKED_THEN_PUPPETED = """
 import sys
 sys.path.insert(0, {tests!r})
 import bpy, facemime, numpy as np
-from clocks import AskedClock
+from tests.helpers.clocks import AskedClock
 from facemime.blender.heads.built_in import add_head
 from facemime.core.live.sources import PacedSource
 from facemime.core.takes.file import save_take
-from live_ticks import moving, ticks_until
+from tests.helpers.live_ticks import moving, ticks_until
 from pathlib import Path
-from takes import performance
+from tests.helpers.takes import performance
 facemime.register()
 try:
     PacedSource.pace = AskedClock()
@@ -337,7 +337,7 @@ print("alive")
 @pytest.mark.parametrize("nla", [False, True])
 @pytest.mark.parametrize("deletion", _DELETIONS, ids=str)
 def test_deleting_a_muted_bake_does_not_crash_blender(deletion, nla, tmp_path):
-    take, tests = str(tmp_path / "take.facetake"), str(Path(__file__).parents[1])
+    take, tests = str(tmp_path / "take.facetake"), str(Path(__file__).parents[2])
     code = textwrap.dedent(_BAKED_THEN_PUPPETED).format(tests=tests, take=take, deletion=_DELETIONS[deletion], nla=nla)
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=500, check=False)
     assert done.returncode == 0 and done.stdout.endswith("alive\n"), (done.returncode, done.stdout, done.stderr)
