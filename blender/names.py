@@ -36,8 +36,10 @@ PART_ATTRIBUTE = "facemime_part"
 HEAD_PROPERTY = "facemime_head"
 """Custom property of another mesh of a face: the head to which it belongs."""
 
-ARMATURE_PROPERTY, BONES_PROPERTY = "facemime_armature", "facemime_bones"
-"""Custom properties of a head: the armature that follows its pose, and the names of its bones by part of the face."""
+ARMATURE_PROPERTY = "facemime_armature"
+"""Custom property of a head: the armature that follows its pose."""
+BONES_PROPERTY = "facemime_bones"
+"""Custom property of a head: the names of its bones by part of the face."""
 
 PIVOT_PROPERTY = "facemime_pivot"
 """Custom property of a head: the point about which it turns, in the axes of the object; its origin if missing."""

@@ -143,8 +143,10 @@ class FreeBox(NamedTuple):
 
 
 _BELOW = {"HUD", "ASSET_SHELF", "ASSET_SHELF_HEADER"}
-_ACROSS, _BESIDE = _BELOW | {"HEADER", "TOOL_HEADER"}, {"TOOLS", "UI"}
-"""Types of the regions that Blender draws over a viewport: those as wide as it is, and those at its sides."""
+_ACROSS = _BELOW | {"HEADER", "TOOL_HEADER"}
+"""Types of the regions that Blender draws over a viewport and that are as wide as it is."""
+_BESIDE = {"TOOLS", "UI"}
+"""Types of the regions that Blender draws over a viewport at its sides."""
 
 
 def free_box(area: bpy.types.Area, region: bpy.types.Region) -> FreeBox:

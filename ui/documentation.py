@@ -10,7 +10,9 @@ from pathlib import Path
 import bpy
 
 _MANUAL_FOLDER = Path(__file__).resolve().parents[1] / "manual"
-_WEBCAM, _OWN_HEAD, _TAKES = "tutorials/webcam.html", "tutorials/own_head.html", "guides/takes.html"
+_WEBCAM = "tutorials/webcam.html"
+_OWN_HEAD = "tutorials/own_head.html"
+_TAKES = "guides/takes.html"
 PANELS = {
     "FACEMIME_PT_start": f"{_WEBCAM}#add-a-head",
     "FACEMIME_PT_head": _OWN_HEAD,

@@ -25,7 +25,12 @@ from .point_overlay import rimmed
 
 _FACE = 150.0
 """Height of the small face, pixels."""
-_MARKED, _ASKED, _EXPECTED = (0.95, 0.75, 0.1), (1.0, 0.35, 0.1), (1.0, 1.0, 1.0)
+_MARKED = (0.95, 0.75, 0.1)
+"""Colour of the marks, RGB."""
+_ASKED = (1.0, 0.35, 0.1)
+"""Colour of the next point on the small face, RGB."""
+_EXPECTED = (1.0, 1.0, 1.0)
+"""Colour of the place where the next mark is expected, RGB."""
 _LINE = (0.85, 0.85, 0.85, 0.9)
 _DOT = 5.0
 

@@ -17,8 +17,15 @@ from ..operators.shared import subject
 from .control_points import shown_rows
 from .drawing import dot, draw_triangles
 
-_RADIUS, _SMALL_RADIUS, _RIM = 4.5, 2.5, 1.5
-_GREY, _SELECTED_COLOUR, _RIM_COLOUR = (0.6, 0.6, 0.6), (1.0, 1.0, 1.0), (0.05, 0.05, 0.05)
+_RADIUS = 4.5
+"""Radius of the dot of a control point, in unscaled pixels."""
+_SMALL_RADIUS = 2.5
+"""Radius of the dot of any other landmark, in unscaled pixels."""
+_RIM = 1.5
+"""Width of the rim of a dot, in unscaled pixels."""
+_GREY = (0.6, 0.6, 0.6)
+_SELECTED_COLOUR = (1.0, 1.0, 1.0)
+_RIM_COLOUR = (0.05, 0.05, 0.05)
 
 
 def _draw() -> None:

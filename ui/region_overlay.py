@@ -23,8 +23,10 @@ from ..operators.shared import subject
 
 _TOWARDS_VIEWER = 0.002
 """Distance of the overlay from the skin, relative to the size of the head."""
-_SLOW, _PAUSE = 0.02, 1.0
-"""Seconds: if reading the weights took longer than the first, they are read again only after the second."""
+_SLOW = 0.02
+"""Seconds above which reading the weights counts as slow."""
+_PAUSE = 1.0
+"""Seconds until they are read again if that is slow."""
 
 
 class _Cache:

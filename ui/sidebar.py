@@ -22,9 +22,13 @@ def place(module: str) -> int:
 
 
 _NARROW = 220.0
-_HEADER, _INSET, _ICON = 76.0, 14.0, 20.0
-"""Widths in the header of a panel: everything but its title and icons, the tabs at its right included; how far that of
-a subpanel is indented; and an icon."""
+_HEADER = 76.0
+"""Width in the header of a panel, in unscaled pixels, of everything but its title and icons, the tabs at its right
+included."""
+_INSET = 14.0
+"""Width by which the header of a subpanel is indented, in unscaled pixels."""
+_ICON = 20.0
+"""Width of an icon in the header of a panel, in unscaled pixels."""
 
 
 class Sidebar(PanelMixin):

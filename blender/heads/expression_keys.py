@@ -26,9 +26,10 @@ from ..names import PART_PROPERTY
 from ..rigs import read_rig
 from ..work import Task, Work, do_at_once
 
-_MAKING, _REFINING = 0.7, 0.4
-"""Share of the time that making the keys takes, with the first part for takes that refine them; the rest is for
-measuring them."""
+_MAKING = 0.7
+"""Share of the time that making the keys takes; the rest is for measuring them."""
+_REFINING = 0.4
+"""Share of the time, the first part of that, in which takes refine the keys."""
 _STILL = 1e-5
 """Motion relative to the eye distance below which a mesh other than the head is still and gets no keys."""
 

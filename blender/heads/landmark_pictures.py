@@ -14,7 +14,8 @@ from ..media.preview_scene import face_points, setup_preview
 from ..media.rendering import render_frames
 from ..meshes import object_of, read_landmarks
 
-_LINE, _POINT = (80, 220, 80), (255, 255, 255)
+_LINE = (80, 220, 80)
+_POINT = (255, 255, 255)
 
 
 def draw_landmarks(scene: bpy.types.Scene, head: bpy.types.Object, side: int) -> NDArray[np.uint8]:

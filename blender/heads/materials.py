@@ -16,8 +16,10 @@ from ..names import UV_MAP
 
 TEXTURES = ASSETS / "head"
 
-_SATURATION, _BRIGHTNESS = 1.25, 0.8
-"""Factors of the colours of skin and hair in Material Preview and renders."""
+_SATURATION = 1.25
+"""Factor of the saturation of skin and hair in Material Preview and renders."""
+_BRIGHTNESS = 0.8
+"""Factor of the brightness of skin and hair in Material Preview and renders."""
 
 Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 

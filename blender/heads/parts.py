@@ -34,8 +34,10 @@ _MIN_ON_SKIN = 3
 """Minimum number of these on a piece that is skin."""
 _STILL = 0.05
 """Sum of the region weights below which skin counts as still."""
-_JOINED, _MIN_JOINED = 0.002, 4
-"""Distance from the skin, in outer-eye distances, below which a vertex coincides with it, and how many have to."""
+_JOINED = 0.002
+"""Distance from the skin, in outer-eye distances, below which a vertex coincides with it."""
+_MIN_JOINED = 4
+"""Minimum number of such vertices of a piece that is joined to the skin."""
 _REACH = 1.5
 """Distance from the skin, in outer-eye distances, beyond which an object does not belong to a head."""
 _OWN_SHARE = 0.5

@@ -18,9 +18,11 @@ _INFINITE = 1e15
 """Coordinate above which a vertex counts as infinite: Blender limits those that are set to the largest number."""
 _NAMED = 3
 """Number of vertices that a message names."""
-_ASTRAY, _SPREAD = 16.0, 90.0
-"""Distance from the middle of a mesh above which a vertex is astray, relative to the distance within which this
-percentage of the vertices lie. The feet of a character whose head has nine tenths of the vertices are at 10."""
+_ASTRAY = 16.0
+"""Distance from the middle of a mesh above which a vertex is astray, relative to the distance within which most of the
+vertices lie. The feet of a character whose head has nine tenths of the vertices are at 10."""
+_SPREAD = 90.0
+"""Percentage of the vertices that are most of them."""
 _FEW = 0.01
 """Largest share of the vertices that can be astray; more are a part of the mesh."""
 _ONE_SIDED = 0.98

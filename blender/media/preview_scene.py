@@ -21,14 +21,19 @@ from ..muting import mute_paths
 from ..names import PART_PROPERTY
 from ..surfaces import show_colour_images
 
-_LENS, _SENSOR = 85.0, 36.0
+_LENS = 85.0
+"""Focal length in millimetres."""
+_SENSOR = 36.0
+"""Width of the sensor in millimetres."""
 _MARGIN = 1.08
 _STUDIO_LIGHT = "paint.sl"
 _FOLD_SHARE = 0.05
 """Size of the folds that are shaded, relative to the head; even light alone would hide the motion of a face."""
 
-_HEAD_REACH, _DEPTH = 2.3, 0.5
-"""Outer-eye distances around the middle of a head, and of that middle behind the landmarks, that are in view."""
+_HEAD_REACH = 2.3
+"""Distance from the middle of a head, in outer-eye distances, within which its points are in view."""
+_DEPTH = 0.5
+"""Distance of that middle behind the landmarks, in outer-eye distances."""
 _NEAR = 1.6
 """Distance of a viewport's eye from a head, relative to the head's size."""
 _BACKGROUND = (0.16, 0.17, 0.19)

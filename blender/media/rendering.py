@@ -25,8 +25,10 @@ from ..contexts import showing_scene
 from .preview_scene import set_shading
 
 Image = NDArray[np.uint8]
-_ENLARGED, _LEAST_SIDE = 1.25, 640
-"""Size at which images are rendered, relative to their own, and the least in pixels, for lashes in small images."""
+_ENLARGED = 1.25
+"""Size at which images are rendered, relative to their own."""
+_LEAST_SIDE = 640
+"""Smallest longer side at which images are rendered, in pixels, for lashes in small images."""
 
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-_PITCH, _SECONDS, _FADE, _VOLUME = 880.0, 0.2, 0.05, 0.3
-"""Hertz; seconds of the sound, and of its fade at the end."""
+_PITCH = 880.0
+"""Frequency in hertz."""
+_SECONDS = 0.2
+_FADE = 0.05
+"""Seconds of the fade at the end."""
+_VOLUME = 0.3
 
 
 class _Output:

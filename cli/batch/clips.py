@@ -35,8 +35,10 @@ _MAX_LIST = 1 << 26
 """Longest list in characters; longer files are videos with an unusual suffix."""
 _CURVE_POINTS = 300
 """Points of a confidence curve at most."""
-_WORST_FRAMES, _MIN_GAP = 3, 0.5
-"""Number of the least certain frames that are shown, and seconds between them."""
+_WORST_FRAMES = 3
+"""Number of the least certain frames that are shown."""
+_MIN_GAP = 0.5
+"""Smallest time between two of these in seconds."""
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,14 @@ from typing import Any
 
 from ...core.files.reading import as_integer, as_list, as_number, as_object, shown
 
-_MOST_FRAMES, _MOST_SECONDS = 2**31, 1e9
-_MOST_OUTPUTS, _MOST_POINTS, _MOST_PICTURES, _MOST_CHARACTERS = 16, 1000, 16, 1000
+_MOST_FRAMES = 2**31
+_MOST_SECONDS = 1e9
+_MOST_OUTPUTS = 16
+_MOST_POINTS = 1000
+"""Largest number of points of the confidence curve."""
+_MOST_PICTURES = 16
+_MOST_CHARACTERS = 1000
+"""Largest number of characters of the text that says what is missing."""
 
 
 def checked_record(data: Any) -> dict[str, Any]:

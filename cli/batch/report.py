@@ -16,8 +16,14 @@ from ...core.errors import SourceError
 from ...core.files.writing import replacing
 from ...core.media.images import read_image
 
-_SHEET_WIDTH, _QUALITY = 480, 75
-_CURVE_WIDTH, _CURVE_HEIGHT = 300, 48
+_SHEET_WIDTH = 480
+"""Width of a contact sheet in pixels."""
+_QUALITY = 75
+"""Quality of JPEG, from 0 to 100."""
+_CURVE_WIDTH = 300
+"""Width of a confidence curve in pixels."""
+_CURVE_HEIGHT = 48
+"""Height of a confidence curve in pixels."""
 _STYLE = """
 body { font: 15px/1.4 system-ui, sans-serif; margin: 2em; color: #222; background: #fafafa }
 article { background: #fff; border: 1px solid #ddd; border-radius: 6px; padding: 1em; margin: 1em 0 }

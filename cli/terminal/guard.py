@@ -20,10 +20,14 @@ from .stopping import STOPPING
 
 _MARK = "FACEMIME_GUARD"
 """Environment variable with the path of a file that a child removes when it ends in an orderly way."""
-_MEMORY, _MEMORY_PER_BYTE = 1 << 30, 24
-"""Bytes that reading a file may take, at least and per byte of the file. Meshes of text take 10, compressed ones 20."""
-_SECONDS, _SECONDS_PER_BYTE = 60.0, 2e-6
-"""Seconds of processor time that reading a file may take, at least and per byte."""
+_MEMORY = 1 << 30
+"""Bytes that reading any file may take."""
+_MEMORY_PER_BYTE = 24
+"""Bytes that reading may take in addition per byte of the file. Meshes of text take 10, compressed ones 20."""
+_SECONDS = 60.0
+"""Seconds of processor time that reading any file may take."""
+_SECONDS_PER_BYTE = 2e-6
+"""Seconds of processor time that reading may take in addition per byte of the file."""
 _PATIENCE = 15.0
 """Seconds from a signal to the end of the child."""
 _mark = os.environ.pop(_MARK, "")

@@ -27,8 +27,10 @@ from .least_squares import bounded_least_squares
 
 PRESETS = ASSETS / "key_maps"
 _FORMAT = "facemime-key-map"
-_MAX_ROWS, _MAX_VALUE = 10_000, 1e6
-"""Largest number of rows, and largest gains and offsets, in a file."""
+_MAX_ROWS = 10_000
+"""Largest number of rows in a file."""
+_MAX_VALUE = 1e6
+"""Largest gains and offsets in a file."""
 ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 """Coefficients without which keys do not form a set for a whole face."""
 _MIN_MATCHES = 3

@@ -10,10 +10,14 @@ _KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshap
 """First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
 _NODE = re.compile(r"[.:|]|_(?=Fcl_)", re.IGNORECASE)
 """What is between the name of a node and that of a key, as Maya and VRoid Studio write it."""
-_FIRST, _LAST = re.compile(r"^[\W_]*[^\W_]+[\W_]+(?=.)|^[\W_]+(?=.)"), re.compile(r"(?<=.)[\W_]+[^\W_]+$")
-"""First and last word of a name, as in `Head_jawOpen` and `jawOpen_Mesh`."""
-_MOST_FIRST, _MOST_LAST = 3, 2
-"""Words that may come before and after a name: `Genesis9__facs_bs_JawOpen_div2`."""
+_FIRST = re.compile(r"^[\W_]*[^\W_]+[\W_]+(?=.)|^[\W_]+(?=.)")
+"""First word of a name, as in `Head_jawOpen`."""
+_LAST = re.compile(r"(?<=.)[\W_]+[^\W_]+$")
+"""Last word of a name, as in `jawOpen_Mesh`."""
+_MOST_FIRST = 3
+"""Words that may come before a name: `Genesis9__facs_bs_JawOpen_div2`."""
+_MOST_LAST = 2
+"""Words that may come after a name."""
 _LEAST_LETTERS = 6
 """Letters of a known name that is found at the end of another without a separator: the names of vowels are in all."""
 _MIN_AFFIXED = 8

@@ -51,18 +51,20 @@ down to 370."""
 
 _RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 """Landmarks that lie on the rims of openings, if the mesh has any there."""
-_RIM_REACH, _RIM_REACH_SEEN = 0.08, 0.04
-"""Distance, in outer-eye distances, within which these landmarks are moved to a rim. It is shorter if they were seen,
-as the border of a mesh is often deep inside the mouth or behind the lids."""
+_RIM_REACH = 0.08
+"""Distance, in outer-eye distances, within which these landmarks are moved to a rim."""
+_RIM_REACH_SEEN = 0.04
+"""Distance within which they are if they were seen. It is shorter, as the border of a mesh is often deep inside the
+mouth or behind the lids."""
 _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head is considered to have a body."""
 _MAX_DISTANCE = 0.1
 """Distance, in outer-eye distances, beyond which a vertex that faces the same way is not accepted for a landmark."""
-_DISTINCT, _DISTINCT_BY_SHAPE = 0.8, 0.95
-"""Share of landmarks that need a vertex of their own, if a face was seen or marked, and if it is known by its shape
-alone.
-
-On a coarse face two landmarks of the lips or lids may share one."""
+_DISTINCT = 0.8
+"""Share of landmarks that need a vertex of their own if a face was seen or marked. On a coarse face two landmarks of
+the lips or lids may share one."""
+_DISTINCT_BY_SHAPE = 0.95
+"""Share of landmarks that need a vertex of their own if a face is known by its shape alone."""
 _FACING = 0.3
 """Cosine of the angle between normals above which a vertex faces roughly the same way."""
 _SYMMETRY = 1e-3

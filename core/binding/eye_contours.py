@@ -22,8 +22,10 @@ _MARGIN = 1.25
 """Side of that rendering, in sizes of the eye."""
 _SHARES = (0.36, 0.66)
 """Positions of the landmarks of a lid along the eye, from the outer corner, as on labelled faces."""
-_MIN_WIDTH, _MIN_OPEN = 0.25, 0.05
-"""Smallest visible width and height of an eye, in sizes of the eye, for it to count as open."""
+_MIN_WIDTH = 0.25
+"""Smallest visible width of an eye, in sizes of the eye, for it to count as open."""
+_MIN_OPEN = 0.05
+"""Smallest visible height of an eye, in sizes of the eye, for it to count as open."""
 _RING = 2
 """Distance in pixels beyond the rim of the eye within which its skin is sought."""
 

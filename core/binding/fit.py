@@ -39,7 +39,8 @@ _EXACT = 0.002
 _AGREEMENT = 0.12
 """Median distance, in outer-eye distances, between seen landmarks and marks above which the seen face is rejected."""
 _BIAS = np.zeros(N_LANDMARKS)
-_BIAS[BROWS], _BIAS[LIPS] = 0.5, 0.15
+_BIAS[BROWS] = 0.5
+_BIAS[LIPS] = 0.15
 """Share of the tracker's error on the template that is expected on any mesh."""
 
 

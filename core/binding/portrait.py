@@ -16,13 +16,18 @@ SIZE = 256
 """Side of a portrait in pixels."""
 _LIGHT = np.array([0.0, -0.67, -0.74])
 """Direction to the light, from above; of six lights the one under which lids and nose were found best."""
-_AMBIENT, _INSIDE, _BACKDROP = 0.35, 0.12, 0.55
-"""Brightness of skin in shadow, of surfaces seen from inside, such as an open mouth, and of the background, relative to
-skin in full light."""
+_AMBIENT = 0.35
+"""Brightness of skin in shadow, relative to skin in full light."""
+_INSIDE = 0.12
+"""Brightness of surfaces seen from inside, such as an open mouth, relative to skin in full light."""
+_BACKDROP = 0.55
+"""Brightness of the background, relative to skin in full light."""
 _SKIN = 200.0
 """Grey value of skin in full light."""
-_WHITE, _DARK = 0.85, 0.2
-"""Brightness of an eye that is drawn into an empty socket, and of its iris."""
+_WHITE = 0.85
+"""Brightness of an eye that is drawn into an empty socket, relative to skin in full light."""
+_DARK = 0.2
+"""Brightness of its iris, relative to skin in full light."""
 _IRIS = 0.065
 """Radius of that iris, in outer-eye distances."""
 _SOCKET = 0.25

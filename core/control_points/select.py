@@ -31,8 +31,10 @@ _FORMAT = "facemime-control-points-1"
 _BEYOND = 68
 _ACTIONS = ("start", "add", "drop")
 _MAX_STEPS = 10_000
-_MAX_ERROR, _MAX_VARIANCE = 1e3, 1e15
-"""Largest values in a file, in widths of the face and squared units of the head."""
+_MAX_ERROR = 1e3
+"""Largest error in a file, in widths of the face."""
+_MAX_VARIANCE = 1e15
+"""Largest covariance in a file, in squared units of the head."""
 _ROUNDING = 1e-3
 """Share of the largest eigenvalue by which a zero one may be negative after rounding to five digits."""
 

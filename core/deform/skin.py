@@ -19,9 +19,11 @@ from ..numeric.arrays import FloatArray, IntArray, as_points
 
 REACH = 0.25
 """Reach of the process in outer-eye distances: the distance along the skin at which the covariance falls to 0.6."""
-_LID_REDUCTION, _LID_EXTENT = 0.7, 0.45
-"""Reduction of the reach at the lids, whose skin is thin and folds, and its extent in outer-eye distances (equation
-5.5). It lowered the error at the eyes by 1 % on ICT-FaceKit and by 4 % on the built-in head."""
+_LID_REDUCTION = 0.7
+"""Share by which the reach is reduced at the lids, whose skin is thin and folds (equation 5.5). It lowered the error at
+the eyes by 1 % on ICT-FaceKit and by 4 % on the built-in head."""
+_LID_EXTENT = 0.45
+"""Distance from the eyes, in outer-eye distances, at which that reduction has fallen to 1/e."""
 _EYES = np.concatenate([EYE_RIGHT, EYE_LEFT])
 _MAX_COTANGENT = 20.0
 """Largest cotangent; larger ones, of slivers, are clipped."""

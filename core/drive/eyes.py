@@ -10,9 +10,12 @@ import numpy as np
 from ..face.rotation import euler_to_matrix, matrix_to_euler
 from ..numeric.arrays import FloatArray
 
-_PARALLEL, _CROSSED, _LASTING = *np.radians((8.0, 40.0)), 5
-"""Vergence relative to rest, in radians, up to which eyes count as parallel; its limit; and the number of frames for
-which eyes have to be crossed, as a misplaced pupil comes and goes."""
+_PARALLEL = np.radians(8.0)
+"""Vergence relative to rest, in radians, up to which eyes count as parallel."""
+_CROSSED = np.radians(40.0)
+"""Largest vergence beyond that, in radians."""
+_LASTING = 5
+"""Number of frames for which eyes have to be crossed, as a misplaced pupil comes and goes."""
 _LIMIT = np.radians((7.0, 22.0))
 """Limits of pitch and yaw in radians. Pitch is small, as the lids, which follow the performer's, would hide the
 iris."""

@@ -11,8 +11,10 @@ from ..face.rotation import fit_rotation
 from ..numeric.arrays import FloatArray
 from .posing import limit_rotation
 
-_CHIN_ERROR, _CHIN_ERROR_SHARE = 0.01, 0.3
-"""Error of the motion of the chin, whose outline is faint: in outer-eye distances, and relative to the motion."""
+_CHIN_ERROR = 0.01
+"""Error of the motion of the chin, whose outline is faint, in outer-eye distances."""
+_CHIN_ERROR_SHARE = 0.3
+"""Further error of that motion, relative to it."""
 _LIP_ALONE = 0.03
 """Motion of the lower lip by itself, in outer-eye distances."""
 _MAX_FACTOR = 2.0

@@ -18,9 +18,11 @@ from ..numeric.arrays import FloatArray, IntArray
 _ON_SKIN = 0.03
 """Distance from the skin, in outer-eye distances, below which a vertex rides on the skin directly beneath it. Others,
 such as those at the end of a lash, follow the nearest such vertex of their piece."""
-_LASH, _LASHES = 0.03, 0.25
-"""In outer-eye distances from the rim of a lid: where the lashes of a piece are rooted, and how far they reach. A line
-of lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
+_LASH = 0.03
+"""Distance from the rim of a lid, in outer-eye distances, within which the lashes of a piece are rooted. A line of
+lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
+_LASHES = 0.25
+"""Distance from that rim, in outer-eye distances, within which all lashes of a piece lie."""
 _SMALL = 0.1
 """Size, in outer-eye distances, up to which a piece is a single hair, which is rooted at one point and stays rigid."""
 _MIN_EYE = 8

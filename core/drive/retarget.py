@@ -24,10 +24,12 @@ from .drive_settings import Mode
 
 _MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks that must not cross."""
-_LIP_GAIN, _CORNER_GAIN = (1.4, 1.3), 1.1
-"""Gains of the lips' motion across and down, and of the corners' motion down. The tracker underestimates this motion,
-as its experts are uncertain about lips and its shape model draws them towards the mean: in nine clips of eight people,
-the median ratio to MediaPipe's landmarks is 0.73 for openings of the mouth and 0.68 for changes of its width."""
+_LIP_GAIN = (1.4, 1.3)
+"""Gains of the lips' motion across and down. The tracker underestimates this motion, as its experts are uncertain about
+lips and its shape model draws them towards the mean: in nine clips of eight people, the median ratio to MediaPipe's
+landmarks is 0.73 for openings of the mouth and 0.68 for changes of its width."""
+_CORNER_GAIN = 1.1
+"""Gain of the motion down of the corners of the mouth."""
 _WIDENING_GAIN = 1.8
 """Gain of lids that open wider than at rest, for the same reason: in the five clips of `lab.bench.expressions`, the
 median ratio to MediaPipe's landmarks is 0.50."""

@@ -18,9 +18,13 @@ _USUAL = np.array([0.76, -0.48, 0.0])
 """Usual bows and lean of an `EyeOutline`, close to those of labelled scans."""
 _TRUST = 0.03
 """Ridge towards the usual shape, which then has about a quarter of the weight of two landmarks of a lid."""
-_SHARE_RANGE, _MIN_BOW, _MAX_LEAN = (0.2, 0.8), 0.5, 0.2
-"""Limits on the effect of misplaced landmarks: range of their positions along the eye, least share of the usual bow,
-and largest lean."""
+_SHARE_RANGE = (0.2, 0.8)
+"""Range of positions of landmarks along the eye, as shares of its width. Like the following two, it limits the effect
+of misplaced landmarks."""
+_MIN_BOW = 0.5
+"""Smallest bow of a lid, as a share of the usual one."""
+_MAX_LEAN = 0.2
+"""Largest lean of an `EyeOutline`, to either side."""
 _MAX_SLOPE = 0.9
 """Sine of the angle of the line between the corners above which one corner counts as above the other."""
 

@@ -22,8 +22,11 @@ _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MAX_COUNT = 50_000_000
 """Largest count in a valid file."""
 _MAX_FILE = 256 << 20
-_MAX_MORPHS, _MAX_MORPH_BYTES = 1000, 256 << 20
-"""Limits per file. An empty statistical morph takes 12 bytes in the file, and as many in memory per vertex."""
+_MAX_MORPHS = 1000
+"""Largest number of morphs in a file. An empty statistical morph takes 12 bytes in the file, and as many in memory per
+vertex."""
+_MAX_MORPH_BYTES = 256 << 20
+"""Largest size of a file's morphs in memory."""
 _MAX_COORDINATE = 1e9
 """Largest coordinate in millimetres; squares of larger ones might not be finite."""
 

@@ -40,7 +40,10 @@ _LOWER_LIP = np.concatenate([_LEFT_CORNER, LOWER_LIP[::-1], _RIGHT_CORNER])
 _INNER_UPPER = np.concatenate([_RIGHT_CORNER, UPPER_LIPS, _LEFT_CORNER])
 _INNER_LOWER = np.concatenate([_LEFT_CORNER, LOWER_LIPS[::-1], _RIGHT_CORNER])
 """The rims of lids and lips, from corner to corner."""
-_EYE_SOFTNESS, _MOUTH_SOFTNESS = 0.08, 0.22
+_EYE_SOFTNESS = 0.08
+"""Reach of the transition to either side of the line through the eyes, in outer-eye distances, far from the corners."""
+_MOUTH_SOFTNESS = 0.22
+"""The same for the line through the mouth."""
 _SLIT_SOFTNESS = 0.002
 _REACH = 0.6
 _AT_CORNER = 0.025

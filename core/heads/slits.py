@@ -13,10 +13,11 @@ from ..mesh.nearest import NearestPoints
 from ..mesh.surface import surface_normals, triangulate
 from ..numeric.arrays import FloatArray, IntArray
 
-_LID_ATTEMPTS, _LIP_ATTEMPTS = ((1, 0.04), (1, 0.02)), ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
-"""Attempts that are made until nothing crosses: how many of the nearest vertices across the slit a vertex must not
-pass, and the largest distance along the slit at which they count. Thick lips need more neighbours than thin lids. All
-lengths are in outer-eye distances."""
+_LID_ATTEMPTS = ((1, 0.04), (1, 0.02))
+"""Attempts that are made at the lids until nothing crosses: how many of the nearest vertices across the slit a vertex
+must not pass, and the largest distance along the slit at which they count. All lengths are in outer-eye distances."""
+_LIP_ATTEMPTS = ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
+"""Attempts at the lips. Thick lips need more neighbours than thin lids."""
 _SLITS = (
     (EYE_RIGHT, 0, 0.002, _LID_ATTEMPTS),
     (EYE_LEFT, 0, 0.002, _LID_ATTEMPTS),
@@ -26,12 +27,16 @@ _SLITS = (
 (that at rest if smaller), and the attempts."""
 _REACH = 0.12
 """Distance from the landmarks of a slit within which skin belongs to it."""
-_MIN_DEPTH, _MAX_DEPTH = 1e-4, 0.06
-"""Depths between which a vertex counts as having passed through a plane."""
+_MIN_DEPTH = 1e-4
+"""Depth above which a vertex counts as having passed through a plane."""
+_MAX_DEPTH = 0.06
+"""Depth below which it does."""
 _FACING = 0.0
 """Cosine of the angle between two normals below which their surfaces face each other."""
-_STEPS, _SPREADS = 20, 2
-"""Largest number of corrections, and rings of neighbours that take part in each."""
+_STEPS = 20
+"""Largest number of corrections."""
+_SPREADS = 2
+"""Rings of neighbours that take part in each correction."""
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,10 @@ import numpy as np
 from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from ..numeric.arrays import FloatArray
 
-OPENS, CLOSES = "jawOpen", "mouthClose"
-"""ARKit's unit that opens the jaw, and the one that seals the lips when both are at 1."""
+OPENS = "jawOpen"
+"""ARKit's unit that opens the jaw."""
+CLOSES = "mouthClose"
+"""ARKit's unit that seals the lips when both are at 1."""
 Weights = Mapping[str, float]
 """Weight of each unit; a name without a side stands for both sides."""
 

@@ -26,9 +26,12 @@ from .camera_process import FAILED, HEADER
 from .sources import LiveFrame, LiveSource
 
 PROGRAM = Path(__file__).with_name("camera_process.py")
-_OPENING, _SILENCE, _RETRY = 15.0, 4.0, 2.0
-"""Seconds without a frame after which a camera counts as hanging, while it opens and later; and seconds until the next
-attempt."""
+_OPENING = 15.0
+"""Seconds without a frame after which a camera that is opened counts as hanging."""
+_SILENCE = 4.0
+"""Seconds without a frame after which a camera that has sent one counts as hanging."""
+_RETRY = 2.0
+"""Seconds until the next attempt to open a camera."""
 _ENDING = 2.0
 """Seconds to wait for a killed process to end. If its driver hangs in the kernel, it ends later."""
 _MAX_BYTES = 1 << 28

@@ -21,22 +21,31 @@ from ..takes.neutral import MAX_SHUT, Neutral, rest_of, trust
 from ..takes.take import TakeRecorder
 from ..tracking.result import TrackResult
 
-_FRAMES, _RATE = 150, 15.0
-"""Largest number of frames that are searched for a neutral face, and frames per second at first. Whenever there are
-more, every second earlier frame is left out, so that the rest is spread over the whole performance."""
-_MIN_FRAMES, _SWEEPS, _AT_FIRST = 30, 2, 4
-"""Smallest number of frames that are searched; sweeps of equation 4.1 per new frame, usually and until a first face at
-rest is found. 300 sweeps solve the equation."""
+_FRAMES = 150
+"""Largest number of frames that are searched for a neutral face. Whenever there are more, every second earlier frame is
+left out, so that the rest is spread over the whole performance."""
+_RATE = 15.0
+"""Frames per second that are searched at first."""
+_MIN_FRAMES = 30
+"""Smallest number of frames that are searched."""
+_SWEEPS = 2
+"""Sweeps of equation 4.1 per new frame; 300 sweeps solve the equation."""
+_AT_FIRST = 4
+"""Sweeps per new frame until a first face at rest is found."""
 _ENOUGH = 4.0
 """Seconds of a face after which the result counts in full."""
-_STEP, _TIME = 0.2, 1.5
-"""Seconds between two steps towards the result, and time constant of the approach in seconds."""
+_STEP = 0.2
+"""Seconds between two steps towards the result."""
+_TIME = 1.5
+"""Time constant of the approach to the result in seconds."""
 _UNCHANGED = 2e-3
 """Distance in eye distances that landmarks of the neutral face have to be off to be moved."""
 _REOPENED = 0.6
 """Opening of the eyes, relative to the neutral one, above which a blink is over."""
-_BLINKS, _BLINK_FRAMES = 64, 2
-"""Number of blinks that are remembered, and smallest number of frames of a blink; a misplaced lid lasts one frame."""
+_BLINKS = 64
+"""Number of blinks that are remembered."""
+_BLINK_FRAMES = 2
+"""Smallest number of frames of a blink; a misplaced lid lasts one frame."""
 _LEFT = 10.0
 """Seconds without a face after which the performer may have changed."""
 

@@ -18,9 +18,10 @@ from .picture_size import stated_size
 IMAGE_SUFFIXES = frozenset({".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".pgm", ".ppm"})
 
 
-MAX_PIXELS, MAX_SIDE = 100_000_000, 30_000
-"""Largest number of pixels, and of pixels per side: an image of 16,384 pixels per side takes two gigabytes and 15
-seconds, and OpenCV cannot warp more than 32,767 pixels per side."""
+MAX_PIXELS = 100_000_000
+"""Largest number of pixels: an image of 16,384 pixels per side takes two gigabytes and 15 seconds."""
+MAX_SIDE = 30_000
+"""Largest number of pixels per side; OpenCV cannot warp more than 32,767."""
 _MAX_FILE = 1 << 30
 
 

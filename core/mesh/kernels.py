@@ -11,9 +11,11 @@ from numpy.typing import NDArray
 from ..errors import HeadError
 from ..numeric.arrays import FloatArray
 
-_WIDE, _NARROW_SHARE = 3.0, 0.46
-"""Sigma of the wide Gaussian over that of the narrow one, and share of the narrow one. Like the spacings in `KERNELS`,
-tuned on ICT-FaceKit and the built-in head (docs/accuracy/deformation.md)."""
+_WIDE = 3.0
+"""Sigma of the wide Gaussian over that of the narrow one. Like the spacings in `KERNELS`, tuned on ICT-FaceKit and the
+built-in head (docs/accuracy/deformation.md)."""
+_NARROW_SHARE = 0.46
+"""Share of the narrow Gaussian, tuned on the same heads."""
 
 
 @dataclass(frozen=True)

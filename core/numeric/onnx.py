@@ -10,9 +10,14 @@ from numpy.typing import NDArray
 
 _Field = tuple[int, int | str | bytes]
 """Number and value of a field of a message, by onnx.proto3 of ONNX 1.17."""
-_IR_VERSION, _OPSET = 8, 13
-_FLOAT, _INT = 1, 2
-"""`TensorProto.DataType.FLOAT` and `AttributeProto.AttributeType.INT`."""
+_IR_VERSION = 8
+"""Version of the file format."""
+_OPSET = 13
+"""Version of the set of operators."""
+_FLOAT = 1
+"""`TensorProto.DataType.FLOAT`."""
+_INT = 2
+"""`AttributeProto.AttributeType.INT`."""
 
 
 @dataclass(frozen=True)

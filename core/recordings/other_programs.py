@@ -22,7 +22,10 @@ from ..numeric.arrays import FloatArray
 from ..takes.table_text import TextTable, is_number
 from .curves import CoefficientTrack, coefficients_of_keys
 
-_MAX_FRAMES, _MAX_CURVES, _MAX_VALUE = 1_000_000, 1_000, 1e6
+_MAX_FRAMES = 1_000_000
+_MAX_CURVES = 1_000
+_MAX_VALUE = 1e6
+"""Largest value of a curve in Audio2Face's file."""
 _AUDIO2FACE_RATE = 60.0
 """Frames per second of Audio2Face's file if it states none, as its importers assume."""
 _FIRST_LINES = 10
@@ -53,7 +56,10 @@ OPENFACE_TITLES = frozenset(f"{unit}_r" for unit in _ACTION_UNITS)
 """Titles of its columns with the intensities of action units."""
 _INTENSITY = 5.0
 """Largest intensity of OpenFace's action units."""
-_POSE, _GAZE = ("pose_Rx", "pose_Ry", "pose_Rz"), ("gaze_angle_x", "gaze_angle_y")
+_POSE = ("pose_Rx", "pose_Ry", "pose_Rz")
+"""Titles of OpenFace's columns with the rotation of the head."""
+_GAZE = ("gaze_angle_x", "gaze_angle_y")
+"""Titles of its columns with the gaze."""
 
 
 def read_audio2face(path: Path) -> CoefficientTrack:

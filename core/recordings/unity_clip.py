@@ -11,8 +11,10 @@ from ..files.reading import read_text
 from ..numeric.arrays import FloatArray
 from .curves import CoefficientTrack, coefficients_of_keys
 
-_RATE, _FASTEST = 60.0, 1000.0
-"""Frames per second of a clip that states none, as Unity's editor has, and the most that one may state."""
+_RATE = 60.0
+"""Frames per second of a clip that states none, as Unity's editor has."""
+_FASTEST = 1000.0
+"""Largest number of frames per second that a clip may state."""
 _MAX_FRAMES = 1_000_000
 _FULL = 100.0
 """Weight at which a blend shape is fully shown."""

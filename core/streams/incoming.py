@@ -11,8 +11,10 @@ from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .protocols.frames import FaceValues
 
-_COLUMNS, _WIDTH = 3, 26
-"""Columns of the table, and characters in each, which fit into 80 in all."""
+_COLUMNS = 3
+"""Columns of the table, which fit into 80 characters."""
+_WIDTH = 26
+"""Characters in each column."""
 _AXES = ("Pitch", "Yaw", "Roll")
 
 

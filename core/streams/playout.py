@@ -15,17 +15,26 @@ from math import inf
 from ..takes.between import between
 from ..tracking.result import TrackResult
 
-_BIN, _BINS = 1.0, 10
-"""Seconds over which one smallest difference is taken, and number of these that count."""
+_BIN = 1.0
+"""Seconds over which one smallest difference is taken."""
+_BINS = 10
+"""Number of these smallest differences that count."""
 _SLEW = 0.05
 """Share of a frame's interval by which the estimated offset may change from frame to frame."""
 _JUMP = 2.0
 """Seconds by which a time has to be off for the sender to count as restarted."""
 _MAX_WAITING = 240
 """Largest number of frames that wait."""
-_INTERVAL, _MIN_INTERVAL, _MAX_INTERVAL = 1.0 / 30.0, 1e-3, 0.5
-_PREDICTED, _DAMPING = 2, 0.8
-"""Largest number of consecutive missing frames that are predicted, and share of the last motion that continues."""
+_INTERVAL = 1.0 / 30.0
+"""Seconds between two frames until these are measured."""
+_MIN_INTERVAL = 1e-3
+"""Seconds between two frames above which they count for the interval."""
+_MAX_INTERVAL = 0.5
+"""Seconds between two frames below which they count for the interval."""
+_PREDICTED = 2
+"""Largest number of consecutive missing frames that are predicted."""
+_DAMPING = 0.8
+"""Share of the last motion that continues in each predicted frame."""
 _MISSING = 1.6
 """Time between two frames, in intervals, above which a frame is missing between them."""
 _PULL = 0.1

@@ -31,8 +31,10 @@ from .transport.sessions import OwnReceiver, Refusal, RefusedError
 
 _MAX_SENDERS = 16
 """Largest number of senders, and of faces of each."""
-_RATE, _BURST = 8000.0, 2000.0
-"""Packets per second that are processed, and largest burst; VMC may send a packet per value."""
+_RATE = 8000.0
+"""Packets per second that are processed; VMC may send a packet per value."""
+_BURST = 2000.0
+"""Largest number of packets that are processed in a burst."""
 _DRAINED = 512
 """Number of packets that are read before the next frame is shown."""
 _LATE = 0.25

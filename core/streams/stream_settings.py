@@ -26,7 +26,9 @@ from .vertex_decoder import VertexDecoder
 from .vertices import VERTICES
 
 OWN = "own"
-_MIN_DELAY, _MAX_DELAY = 0.0, 2.0
+_MIN_DELAY = 0.0
+_MAX_DELAY = 2.0
+"""Largest delay in seconds."""
 AXES = ("pitch", "yaw", "roll")
 
 

@@ -10,9 +10,12 @@ from ..live.sources import LiveFrame
 from ..takes.neutral import Neutral
 from .playout import Shown
 
-HOLD, EASE, RETURN = 0.5, 1.0, 0.2
-"""Seconds for which the last face is held when no data arrive, of its return to rest, and of the transition back to the
-received motion."""
+HOLD = 0.5
+"""Seconds for which the last face is held when no data arrive."""
+EASE = 1.0
+"""Seconds of its return to rest after that."""
+RETURN = 0.2
+"""Seconds of the transition back to the received motion."""
 _FILL_RATE = 1.0 / 60.0
 _MAX_CHANGE = 1.0
 """Seconds by which the difference of two clocks may change from one frame to the next."""

@@ -17,8 +17,10 @@ from .transport.pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_ME
 
 _AGAIN = 1.0
 """Seconds from a failed attempt to the next one."""
-_PATIENCE, _SILENT = 8.0, 4.0
-"""Seconds for a connection to be established, and without any message until it counts as lost."""
+_PATIENCE = 8.0
+"""Seconds for a connection to be established."""
+_SILENT = 4.0
+"""Seconds without any message after which an established connection counts as lost."""
 _PORTION = 1 << 14
 """Number of bytes read at a time, which is also the most that is buffered besides a message."""
 _MAX_EMPTY = 16

@@ -28,13 +28,20 @@ VERTICES = "vertices"
 VERSION = 1
 MESH, FRAME, FACE = 1, 2, 3
 """Kinds of messages."""
-MESH_HEADER, FRAME_HEADER, FACE_HEADER = struct.Struct("<BBHIIH"), struct.Struct("<BBHId"), struct.Struct("<BBHIIII")
+MESH_HEADER = struct.Struct("<BBHIIH")
+"""Kind, version, number of the head, numbers of vertices and triangles, and size of the name in bytes."""
+FRAME_HEADER = struct.Struct("<BBHId")
+"""Kind, version, number of the head, number of vertices, and time in seconds."""
+FACE_HEADER = struct.Struct("<BBHIIII")
+"""Kind, version, number of the head, and first vertex and number of vertices of the right and of the left eyeball."""
 MAX_NAME = 1000
 """Largest size of a head's name in bytes."""
 TO_RECEIVER = np.array([1.0, -1.0, -1.0])
 """From the head frame to x right, y up, z towards the viewer."""
-_AGAIN, _PATIENCE = 0.5, 3.0
-"""Seconds between attempts to connect, and until a receiver that does not read is disconnected."""
+_AGAIN = 0.5
+"""Seconds between attempts to connect."""
+_PATIENCE = 3.0
+"""Seconds after which a receiver that does not read is disconnected."""
 
 
 def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) -> bytes:

@@ -30,18 +30,31 @@ from .transport.addresses import LOOPBACK, bracketed, resolve
 from .transport.background import Connecting
 
 PORT = 8001
-PLUGIN, DEVELOPER = "Facemime", "Facemime"
+PLUGIN = "Facemime"
+DEVELOPER = "Facemime"
 _RESEND = 0.5
 """Seconds after which values are sent again, as VTube Studio resets a parameter after one second without any."""
-_OPENING, _ASKING, _ANSWERING, _AGAIN = 3.0, 120.0, 5.0, 2.0
-"""Seconds for a connection, for the user to allow the plug-in, for an answer, and until the next attempt."""
+_OPENING = 3.0
+"""Seconds for a connection to be established."""
+_ASKING = 120.0
+"""Seconds for the user to allow the plug-in."""
+_ANSWERING = 5.0
+"""Seconds for any other answer."""
+_AGAIN = 2.0
+"""Seconds until the next attempt to connect."""
 _LOOK = 0.2
-_MAX_ANSWER, _MAX_TOKEN = 1 << 16, 1 << 10
-"""Largest size in bytes of an answer, and of a token."""
+_MAX_ANSWER = 1 << 16
+"""Largest size of an answer in bytes."""
+_MAX_TOKEN = 1 << 10
+"""Largest size of a token in bytes."""
 _DENIED = 50
 """Number of the error if the user does not allow the plug-in."""
-_ANGLE, _ACROSS, _DEPTH = 90.0, 100.0, 50.0
-"""Largest angle in degrees, and units of VTube Studio per metre, across and in depth."""
+_ANGLE = 90.0
+"""Largest angle of the head that is sent, in degrees."""
+_ACROSS = 100.0
+"""Units of VTube Studio per metre across and down."""
+_DEPTH = 50.0
+"""Units of VTube Studio per metre in depth."""
 _DEFAULTS = DriveSettings()
 _LOG = logging.getLogger(__name__)
 

@@ -30,15 +30,18 @@ from .take import Take
 
 _MIN_NAMES = 10
 """Smallest number of known coefficients in a table of coefficients."""
-_MAX_ROWS, _MAX_NUMBER = 1_000_000, 1e15
+_MAX_ROWS = 1_000_000
+_MAX_NUMBER = 1e15
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Cells without a number, as other programs write them, in lower case."""
 _MOST = 5.0
 """A coefficient above this is a percentage: exaggerated ones reach 2."""
 _DECIMALS = 12
 """Decimals of a number, with which a float32 of a coefficient above 0.0001 is the same again."""
-_FEW, _SHORT = 0.02, 10
-"""Share of rows that may be left out, and rows below which none may: a table of a few rows is refused instead."""
+_FEW = 0.02
+"""Largest share of rows that may be left out because their times do not increase."""
+_SHORT = 10
+"""Rows below which none may be left out: a table of a few rows is refused instead."""
 LIVE_LINK_ORDER: tuple[str, ...] = (
     *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
     *("eyeWideLeft", "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight"),

@@ -8,9 +8,14 @@ from ..face.rotation import euler_to_matrix, matrix_to_euler
 from ..numeric.arrays import FloatArray
 from .take import Take
 
-_FIXATION, _ASKEW, _SHIFTS, _MAX_GAZES = 0.07, 0.18, 20, 1000
-"""Standard deviation of measured gazes at one place, and that and largest value of the tracker's bias for a person, in
-radians; steps of mean shift; most gazes that are compared, evenly spaced."""
+_FIXATION = 0.07
+"""Standard deviation of measured gazes at one place, in radians."""
+_ASKEW = 0.18
+"""Standard deviation and largest value of the tracker's bias for a person, in radians."""
+_SHIFTS = 20
+"""Steps of mean shift towards the most frequent gaze."""
+_MAX_GAZES = 1000
+"""Largest number of gazes that are compared, evenly spaced."""
 
 
 def facing(take: Take) -> FloatArray:

@@ -10,8 +10,20 @@ from ..numeric.arrays import FloatArray
 from .smooth import CUTOFFS, before_after
 from .take import Take
 
-_WIDTH, _HEIGHT, _LEFT, _EDGE = 1200, 110, 130, 12
-_BEFORE, _AFTER, _INK = (170, 170, 170), (80, 130, 30), (60, 60, 60)
+_WIDTH = 1200
+"""Width of the figure in pixels."""
+_HEIGHT = 110
+"""Height of the strip of one part in pixels."""
+_LEFT = 130
+"""Width in pixels of the space for the name of the part, left of the curves."""
+_EDGE = 12
+"""Margin of a strip in pixels."""
+_BEFORE = (170, 170, 170)
+"""Colour of the curve before mending, BGR."""
+_AFTER = (80, 130, 30)
+"""Colour of the curve after mending, BGR."""
+_INK = (60, 60, 60)
+"""Colour of the names, BGR."""
 
 
 def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:

@@ -37,8 +37,10 @@ MAX_WAIT = 1.0
 """Time in seconds, of the take or of the clock, after which pending frames are written."""
 FRAMES_PER_CHUNK = 64
 _MAX_FILE = 1 << 30
-_MAX_RATIO, _MIN_UNPACKED = 192, 32 << 20
-"""Bytes of memory that are allowed per byte of the file, and in addition. A take needs 4 with a face, 127 without."""
+_MAX_RATIO = 192
+"""Bytes of memory that are allowed per byte of the file. A take needs 4 with a face, 127 without."""
+_MIN_UNPACKED = 32 << 20
+"""Bytes of memory that are allowed in addition."""
 
 
 class TakeWriter(Closing):

@@ -25,9 +25,14 @@ _RATES = (24.0, 24 / 1.001, 25.0, 30.0, 30 / 1.001, 48.0, 50.0, 60.0, 60 / 1.001
 """Rates of animations, the most likely first where several fit."""
 _OFF = 0.02
 """Largest distance of a keyframe from a frame, in frames."""
-_LOWEST, _HIGHEST = 1.0, 240.0
-_MAX_SAMPLERS, _MAX_KEYS = 100_000, 1_000_000
-"""Largest number of curves that are read, and of keyframes in all of them."""
+_LOWEST = 1.0
+"""Lowest rate that an animation can have, in frames per second."""
+_HIGHEST = 240.0
+"""Highest rate that an animation can have, in frames per second."""
+_MAX_SAMPLERS = 100_000
+"""Largest number of curves that are read."""
+_MAX_KEYS = 1_000_000
+"""Largest number of keyframes that are read, in all curves."""
 _DATA_URI = re.compile(r"data:[^,]{0,100};base64,")
 _OGAWA = b"Ogawa\xff"
 _MAX_SAMPLINGS = 1 << 20

@@ -20,8 +20,10 @@ _SCALE = 160.0
 """Size of the face in that image, in pixels per outer-eye distance."""
 REST_POSITION: FloatArray = np.array([_SCALE, *np.array(IMAGE_SIZE) / 2.0])
 """`Neutral.position` of a measured face: scale, and the middle of that image."""
-_ROUNDS, _MIN_SPREAD = 12, 1e-4
-"""Rounds of the robust fit, and its smallest spread in eye distances."""
+_ROUNDS = 12
+"""Rounds of the robust fit."""
+_MIN_SPREAD = 1e-4
+"""Smallest spread of the robust fit, in outer-eye distances."""
 _NEAREST = 0.2
 """Smallest distance to the camera, as a share of the one at rest."""
 

@@ -23,19 +23,25 @@ from .take import Take
 
 MAX_SHUT = 0.45
 """Largest opening of the eyes, relative to the neutral one, that can count as shut."""
-_MIN_OPENING, _WIDE_OPENING, _MAX_GAIN = 0.12, 0.35, 1.4
-"""Openings of the mouth beyond neutral in outer-eye distances: the smallest that counts, and a wide one; and the
-largest gain (section 4.2)."""
+_MIN_OPENING = 0.12
+"""Smallest opening of the mouth beyond neutral that counts, in outer-eye distances (section 4.2)."""
+_WIDE_OPENING = 0.35
+"""A wide opening of the mouth beyond neutral, in outer-eye distances (section 4.2)."""
+_MAX_GAIN = 1.4
+"""Largest gain of the mouth (section 4.2)."""
 _OPTIONAL = ("gaze", "open_mouth", "vergence", "actions")
 """Values that may be NaN."""
 _ADDED = {"removed": 0.0, "vergence": np.nan, "actions": [np.nan] * N_ACTIONS, "measured": 0.0, "asked": 1.0}
 """Values that files of earlier versions lack."""
-_MAX_FRAMES, _MOMENT = 300, 0.2
-"""Largest number of frames of a take that are searched for a neutral face, and its duration in seconds. A second would
-be too long, as strong performers seldom rest that long. From 0.15 to 0.5 the results of `lab.bench.expressions` hardly
-change."""
-_TURNED, _MIN_TRUST = 0.5, 1e-3
-"""Angle in radians, of pitch and yaw together, at which the weight of a frame is 1/e, and the smallest weight."""
+_MAX_FRAMES = 300
+"""Largest number of frames of a take that are searched for a neutral face."""
+_MOMENT = 0.2
+"""Duration of a neutral face in seconds. A second would be too long, as strong performers seldom rest that long. From
+0.15 to 0.5 the results of `lab.bench.expressions` hardly change."""
+_TURNED = 0.5
+"""Angle in radians, of pitch and yaw together, at which the weight of a frame is 1/e."""
+_MIN_TRUST = 1e-3
+"""Smallest weight of a frame."""
 _CALM = 0.08
 """Amount of expression, in eye distances, above that of the calmest frame, at which the weight of a frame is 1/e in
 `rest_of`. On the clips of `lab.bench.expressions`, 0.01 to 0.08 are about as accurate; the more frames count, the
@@ -44,15 +50,23 @@ _DOUBT = 0.2
 """Amount of expression, in eye distances, that a confidence of 0 counts as."""
 _USUAL = 0.35
 """Largest share of a take in which brows are lower than at rest. From 0.3 to 0.35 the same moments are found."""
-_LIDS, _LIDS_AT_REST = 0.5, 0.1
-"""Amount of expression, in eye distances, of lids that are open twice as far as usual, and the relative difference that
-may be rest. Lids move little, and yet half-shut eyes are no neutral face."""
-_WEAK, _MUCH_REMOVED = 0.3, 0.35
-"""Activation up to which an expression may be the person's own face, and above which a removed one is reported."""
-_MAX_VALUES, _MAX_VALUE = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}, 1e7
-"""Largest stored values, in outer-eye distances and radians; others are in seconds and pixels."""
-_MIN_EXTENT, _ROTATION_ERROR = 1e-4, 1e-3
-"""Smallest extent of a region of a stored shape, and largest error of a stored rotation."""
+_LIDS = 0.5
+"""Amount of expression, in eye distances, of lids that are open twice as far as usual. Lids move little, and yet
+half-shut eyes are no neutral face."""
+_LIDS_AT_REST = 0.1
+"""Difference from the usual opening of the eyes, relative to it, that may be rest."""
+_WEAK = 0.3
+"""Activation up to which an expression may be the person's own face."""
+_MUCH_REMOVED = 0.35
+"""Activation above which an expression that was removed is reported."""
+_MAX_VALUES = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}
+"""Largest stored values: of the shape and the mouth in outer-eye distances, of the gaze and vergence in radians."""
+_MAX_VALUE = 1e7
+"""Largest stored value of anything else, such as times in seconds and the position in pixels."""
+_MIN_EXTENT = 1e-4
+"""Smallest extent of a region of a stored shape, in outer-eye distances."""
+_ROTATION_ERROR = 1e-3
+"""Largest error of a stored rotation, in its product with its transpose."""
 MIRROR_WIDTH = 1.0
 """Image width in pixels for which mirroring keeps x = 0 in place, as mirroring a `Neutral` does."""
 

@@ -20,9 +20,11 @@ _FURTHEST = np.radians([100.0, 80.0, 70.0])
 _PER_COEFFICIENT = 4.6
 """Pitch of an eye per eyeLookDown above which it is in degrees: the geometric mean of 35 degrees, and that in radians,
 which a phone's recording and table have."""
-_LEAST_LOOK, _LEAST_CORRELATION = 0.01, 0.7
-"""Least standard deviation of eyeLookDown - eyeLookUp, and correlation with the pitch, at which that slope counts. The
-correlation is .9997 in a phone's recording."""
+_LEAST_LOOK = 0.01
+"""Smallest standard deviation of eyeLookDown - eyeLookUp at which that slope counts."""
+_LEAST_CORRELATION = 0.7
+"""Smallest correlation of that difference with the pitch at which the slope counts. It is .9997 in a phone's
+recording."""
 _DOWN, _UP = ([COEFFICIENT_INDEX[f"eyeLook{way}{side}"] for side in ("Left", "Right")] for way in ("Down", "Up"))
 
 

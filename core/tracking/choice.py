@@ -12,8 +12,10 @@ from .identity import PerformerIdentity, describe_face
 from .pdm import FittedShape
 from .search import Candidate, largest
 
-_WAIT_FRAMES, _WAIT_CROWDED_FRAMES = 25, 75
-"""Frames for which a lost face is awaited before another one is taken; longer while a bystander may hide it."""
+_WAIT_FRAMES = 25
+"""Frames for which a lost face is awaited before another one is taken."""
+_WAIT_CROWDED_FRAMES = 75
+"""Frames for which it is awaited while a bystander may hide it."""
 LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
 """Positions in pixels for `FaceTracker.choose`, far to the left and right of any image."""
 

@@ -26,10 +26,15 @@ from ..numeric.arrays import FloatArray, IntArray
 from .network import Network
 from .reference import translate_pose, warp_to_reference
 
-FACE_STRIDE, PART_STRIDE = 4, 2
-"""Pixels per cell of the maps of the whole face and of the parts."""
-_FACE_FLOOR, _PART_FLOOR = 8.0, 6.0
-"""Grey levels added to the standard deviation of a crop, so that the noise of a flat one is not amplified."""
+FACE_STRIDE = 4
+"""Pixels per cell of the maps of the whole face."""
+PART_STRIDE = 2
+"""Pixels per cell of the maps of the parts."""
+_FACE_FLOOR = 8.0
+"""Grey levels added to the standard deviation of the crop of a face, so that the noise of a flat one is not
+amplified."""
+_PART_FLOOR = 6.0
+"""Grey levels added to that of the crop of a part, for the same reason."""
 _NOTHING = np.float32(1e-20)
 _ALL = np.arange(len(MIRROR))
 

@@ -20,14 +20,19 @@ from .reference import pose_in_image
 
 _SIDE_YAW = 0.36
 """Yaw in radians beyond which the visibilities and patch experts of the side view are used."""
-_HALF_CERTAIN, _HALF_CERTAIN_GLANCE = 0.08, 0.1
-"""`h` of equation 3.2 in eye distances: the standard deviation of a map at which its weight is halved. The glance's
-maps are wider, as their cells are larger."""
-_SEEN, _BETTER, _HIGHER = 0.65, 0.02, 0.12
-"""Re-examination of raised brows (section 3.3): mean certainty below which a brow may lie above its crop, and above
-which its eye is where it is expected; how much more certain a second crop has to be to replace the first; how far above
-the first it lies, in eye distances. Chosen on clips of raised brows; from 0.08 to 0.15 the second crop shows about the
-same."""
+_HALF_CERTAIN = 0.08
+"""`h` of equation 3.2 in eye distances: the standard deviation of a map at which its weight is halved."""
+_HALF_CERTAIN_GLANCE = 0.1
+"""`h` for the glance, in eye distances. Its maps are wider, as their cells are larger."""
+_SEEN = 0.65
+"""Mean certainty below which a brow may lie above its crop, and above which its eye is where it is expected (section
+3.3). Chosen on clips of raised brows."""
+_BETTER = 0.02
+"""How much more certain a second crop of a brow, above the first, has to be to replace it. Chosen on clips of raised
+brows."""
+_HIGHER = 0.12
+"""How far above the first crop the second lies, in eye distances. Chosen on clips of raised brows; from 0.08 to 0.15 it
+shows about the same."""
 _AGILITY = np.ones(N_LANDMARKS)
 _AGILITY[BROWS] = 4.0
 """Factor of `d` in equation 3.5: a brow that is suddenly raised is far from the shape, and yet no outlier."""

@@ -24,15 +24,18 @@ from .reference import warp_to_reference
 _EYES = np.array([EYE_RIGHT, EYE_LEFT])
 _SCALE = 60.0
 """Pixels per outer-eye distance of the crop with both eyes."""
-_WIDTH, _HEIGHT = 72, 24
-"""Width and height of that crop in pixels, a band across the face."""
+_WIDTH = 72
+"""Width of that crop in pixels."""
+_HEIGHT = 24
+"""Height of that crop in pixels: a band across the face."""
 _IRIS = 0.066 * _SCALE
 """Radius of the iris in that crop: 5.9 mm at an outer-eye distance of 89 mm."""
 _OPEN_ABOVE = 0.16
 """Aperture of an eye, as a share of its width, up to which it counts as shut."""
-_CLEAR_ABOVE, _FRONTAL_BELOW = 0.2, 0.4
-"""Limits within which both pupils are seen well enough to detect crossed eyes: least aperture, as a share of the width,
-and largest yaw of the head and of the gaze, in radians."""
+_CLEAR_ABOVE = 0.2
+"""Aperture of an eye, as a share of its width, above which its pupil is seen well enough to detect crossed eyes."""
+_FRONTAL_BELOW = 0.4
+"""Yaw of the head and of the gaze, in radians, below which both pupils are."""
 _BALL = np.array([0.0, -0.02, 0.075])
 """Centre of an eyeball relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13

@@ -7,10 +7,13 @@ import numpy as np
 from ..face.landmarks import LIPS
 from ..numeric.arrays import FloatArray
 
-_KNOWN, _SEEN, _HIDDEN = 0.6, 0.5, 0.4
-"""Mean certainty of the lips above which they are remembered, below which they are partly held, and below which they
-are held completely. In strangers' clips a mouth with the tongue out, a beard or a scream has 0.53 or more, one behind a
-hand 0.2 to 0.5."""
+_KNOWN = 0.6
+"""Mean certainty of the lips from which on they are remembered."""
+_SEEN = 0.5
+"""Mean certainty of the lips below which they are partly held. In strangers' clips a mouth with the tongue out, a beard
+or a scream has 0.53 or more, one behind a hand 0.2 to 0.5."""
+_HIDDEN = 0.4
+"""Mean certainty of the lips below which they are held completely."""
 
 
 def seen_lips(certainty: FloatArray) -> float:

@@ -17,28 +17,44 @@ from numpy.typing import NDArray
 from ..numeric.arrays import FloatArray
 from .reference import warp_to_reference
 
-_SIDE, _SCALE, _CELLS = 40, 26.0, 10
-"""Side in pixels of the crop that is described; its pixels per outer-eye distance; its cells per side."""
-_CENTRE, _RADII = (19.5, 21.0), (15.0, 18.0)
-"""The oval from brows to chin that is described, in pixels of that crop."""
+_SIDE = 40
+"""Side in pixels of the crop that is described."""
+_SCALE = 26.0
+"""Pixels of the crop per outer-eye distance."""
+_CELLS = 10
+"""Cells per side of the crop."""
+_CENTRE = (19.5, 21.0)
+"""Centre of the oval from brows to chin that is described, in pixels of the crop."""
+_RADII = (15.0, 18.0)
+"""Half of the width and of the height of that oval, in pixels of the crop."""
 _CONTRAST_FLOOR = 16.0
 """Added to the squared contrast of a cell, so that flat skin contributes little."""
-_SAME, _SAME_BYSTANDER = 0.85, 0.8
-"""Similarity above which a face is certainly the tracked one, and above which two faces are the same bystander."""
-_MARGIN, _TOLERANCE = 0.06, 0.1
-"""How much more similar to one person than to another a face has to be to count as theirs, and how much less similar to
-the lost person it may be if nobody else was seen there."""
-_LEARNING_RATE, _UNSURE_RATE, _BYSTANDER_RATE = 0.2, 0.05, 0.3
-"""Share of the newest descriptor in the remembered one: for the tracked face, for the same while it looks unusual (at
-this rate a hand or a new light is accepted after about two seconds), and for a bystander."""
+_SAME = 0.85
+"""Similarity above which a face is certainly the tracked one."""
+_SAME_BYSTANDER = 0.8
+"""Similarity above which two faces are the same bystander."""
+_MARGIN = 0.06
+"""How much more similar to one person than to another a face has to be to count as theirs."""
+_TOLERANCE = 0.1
+"""How much less similar to the lost person than to another a face may be if nobody else was seen there."""
+_LEARNING_RATE = 0.2
+"""Share of the newest descriptor in the remembered one of the tracked face."""
+_UNSURE_RATE = 0.05
+"""The same share while the tracked face looks unusual: a hand or a new light is accepted after about two seconds."""
+_BYSTANDER_RATE = 0.3
+"""The same share for a bystander."""
 _PROMPT_SEARCHES = 6
 """Number of consecutive unusual checks that each search for bystanders; after that, only every sixth does."""
 _MAX_BYSTANDERS = 4
 """Largest number of bystanders that are remembered."""
-_STEP, _DRIFT = 0.25, 0.08
-"""Distance in eye distances that a face may move in one frame, and additionally per further frame."""
-_POSITION_FRAMES, _PRESENCE_FRAMES = 12, 50
-"""Frames for which the position of a bystander stays valid, and for which they count as present."""
+_STEP = 0.25
+"""Distance, in eye distances, between a face and where a bystander was last seen within which it may be theirs."""
+_DRIFT = 0.08
+"""Distance, in eye distances, by which that grows with each frame since then."""
+_POSITION_FRAMES = 12
+"""Frames for which the position of a bystander stays valid."""
+_PRESENCE_FRAMES = 50
+"""Frames for which a bystander who is not seen counts as present."""
 
 
 def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:

@@ -33,9 +33,14 @@ _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _MAX_SIDE = 512
 """Largest sizes of crops and scales of experts, in pixels: four times those in use."""
-_MAX_COORDINATE, _MAX_WEIGHT = 100.0, 1e4
-_MAX_MODES, _MAX_PARTS = 512, 16
-"""Largest numbers of modes, as many as a take can hold, and of parts."""
+_MAX_COORDINATE = 100.0
+"""Largest coordinate of a position or displacement, in the head frame."""
+_MAX_WEIGHT = 1e4
+"""Largest weight of a patch expert."""
+_MAX_MODES = 512
+"""Largest number of modes, as many as a take can hold."""
+_MAX_PARTS = 16
+"""Largest number of parts."""
 _ADVICE = "Reinstall Facemime, or rebuild the model with `make model`."
 
 

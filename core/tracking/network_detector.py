@@ -15,8 +15,10 @@ STRIDE = 8
 """Pixels between neighbouring cells of the network."""
 UNIT = 16.0
 """Unit of the network's outputs in pixels."""
-SMALLEST, LARGEST = 9.0, 30.0
-"""Range of the outer-eye distances, in pixels, of faces that the network finds."""
+SMALLEST = 9.0
+"""Smallest outer-eye distance, in pixels, of faces that the network finds."""
+LARGEST = 30.0
+"""Largest outer-eye distance, in pixels, of faces that the network finds."""
 OUTPUTS = ("x", "y", "size", "cos roll", "sin roll", "sin yaw", "sin pitch")
 """Outputs per face beside the log odds. Position and size are in units, the size as a logarithm."""
 SIDES = (64, 160, 400, 1000)

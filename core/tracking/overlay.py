@@ -19,11 +19,15 @@ _POINT = (255, 255, 255)
 _TEXT = (235, 235, 235)
 _BACKGROUND = (24, 24, 24)
 _LINEAR = (np.arange(256) / 255.0) ** np.float32(2.2)
-_SURE, _GUESSED = np.array((90.0, 230.0, 90.0)), np.array((60.0, 60.0, 240.0))
+_SURE = np.array((90.0, 230.0, 90.0))
+"""Colour of a landmark whose confidence is 1, BGR."""
+_GUESSED = np.array((60.0, 60.0, 240.0))
+"""Colour of a landmark whose confidence is 0, BGR."""
 _SHIFT = 4
-_THIN, _RADII = 110.0, (0.7, 3.0)
-"""Size of a face relative to the radius of its landmarks in a preview, chosen so that the lids stay visible, and limits
-of that radius in pixels."""
+_THIN = 110.0
+"""Size of a face relative to the radius of its landmarks in a preview, chosen so that the lids stay visible."""
+_RADII = (0.7, 3.0)
+"""Smallest and largest radius of a landmark in a preview, in pixels."""
 
 
 def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:

@@ -17,8 +17,10 @@ from .model_file import TrackerModel
 from .network_detector import SIDES, NetworkDetector
 from .pdm import FittedShape
 
-_MAX_BOXES, _MAX_FACES = 60, 4
-"""Largest numbers of starts per effort that are fitted coarsely, and of those that are then fitted to the end."""
+_MAX_BOXES = 60
+"""Largest number of starts per effort that are fitted coarsely."""
+_MAX_FACES = 4
+"""Largest number of those that are then fitted to the end."""
 _MAX_GRADUAL = 6
 """Largest number of starts per step of a gradual search that are fitted coarsely."""
 _MAX_DETECTIONS = 8
@@ -26,10 +28,11 @@ _MAX_DETECTIONS = 8
 _MIN_COARSE = 1e-3
 """Confidence of the coarse fit to such a detection above which it is fitted to the end. Most false detections are below
 it, and hardly any true ones."""
-_LIKELY_COARSE, _MAX_UNLIKELY = 4e-3, (2, 1)
-"""Confidence of the coarse fit below which a detection counts as unlikely, as does one with odds below even; and how
-many unlikely detections a frame of a gradual search fits coarsely, in turn, and to the end. Of 47 false detections 43
-had odds below even, of 96 faces with eyes at least 25 pixels apart none."""
+_LIKELY_COARSE = 4e-3
+"""Confidence of the coarse fit below which a detection counts as unlikely, as does one with odds below even. Of 47
+false detections 43 had odds below even, of 96 faces with eyes at least 25 pixels apart none."""
+_MAX_UNLIKELY = (2, 1)
+"""How many unlikely detections a frame of a gradual search fits coarsely, in turn, and how many to the end."""
 _CERTAIN = 0.85
 """Confidence of a detected face above which no further effort is made."""
 _SEPARATION = 0.6
@@ -45,8 +48,9 @@ class NetworkPass:
 
 
 SearchStep: TypeAlias = "Step | NetworkPass"
-_FIRST_PASS, _SMALL_FACES = NetworkPass(SIDES[:3]), NetworkPass(SIDES[3:])
-"""The first pass, and the pass for small faces."""
+_FIRST_PASS = NetworkPass(SIDES[:3])
+_SMALL_FACES = NetworkPass(SIDES[3:])
+"""The pass for small faces."""
 _FURTHER_PASSES = (_SMALL_FACES, *(NetworkPass(SIDES[:3], turns) for turns in (1, 3, 2)))
 """Further passes of the network: for small faces, and for those that lie on their side or hang upside down. Much else
 looks like these, so they have to be certain."""

@@ -15,13 +15,18 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
-MAX_CONNECTIONS, MAX_STRANGERS = 64, 12
-"""Largest number of connections, and of those from one address that are not welcome yet; a browser opens up to six for
-each page that it loads."""
+MAX_CONNECTIONS = 64
+MAX_STRANGERS = 12
+"""Largest number of connections from one address that are not welcome yet; a browser opens up to six for each page that
+it loads."""
 _SHARE = 4
 """The largest number is at most this part of the file descriptors that the program may have; macOS allows 256."""
-_HANDSHAKE, _CLOSING, _PAUSE = 5.0, 1.0, 0.5
-"""Seconds for the handshake of TLS and its end, and until another attempt if no file descriptors are left."""
+_HANDSHAKE = 5.0
+"""Seconds for the handshake of TLS."""
+_CLOSING = 1.0
+"""Seconds for the end of TLS."""
+_PAUSE = 0.5
+"""Seconds until another attempt if no file descriptors are left."""
 _LOG = logging.getLogger("facemime.viewer")
 
 

@@ -18,8 +18,10 @@ CLOCK_REQUEST = struct.Struct("<d")
 """The only message that a page sends: its own time."""
 _FRAME_HEADER = struct.Struct("<BBHId")
 _CLOCK = struct.Struct("<B7xdd")
-_STEP, _AMOUNT_STEP = 2.0**-14, 2.0**-13
-"""Steps of displacements, in outer-eye distances, and of amounts."""
+_STEP = 2.0**-14
+"""Step of displacements, in outer-eye distances."""
+_AMOUNT_STEP = 2.0**-13
+"""Step of amounts."""
 
 
 def encode_frame(

@@ -18,10 +18,16 @@ from .nats import PONG, NatsError, NatsReader, Operation, connecting, publishing
 from .scene import Scene
 from .site import SENDER, SUBJECT, Site
 
-_AGAIN, _LOOK = 1.0, 0.5
-"""Seconds between two attempts, and without a frame until the relay's own requests are answered."""
-_OPENING, _ANSWERING, _CLOSING = 5.0, 5.0, 0.5
-"""Seconds for the connection, for the answer to the credentials, and for closing."""
+_AGAIN = 1.0
+"""Seconds between two attempts to connect."""
+_LOOK = 0.5
+"""Seconds without a frame until the relay's own requests are answered."""
+_OPENING = 5.0
+"""Seconds for the connection to be established."""
+_ANSWERING = 5.0
+"""Seconds for the answer to the credentials."""
+_CLOSING = 0.5
+"""Seconds for the connection to close."""
 _MAX_MESSAGE = 65536
 """Largest size in bytes of a message from the relay."""
 

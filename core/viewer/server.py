@@ -41,8 +41,14 @@ _MAX_MESSAGE = 64
 """Largest size in bytes of a message from a page, which only asks for the time."""
 _MIN_PAUSE = 0.05
 """Smallest time in seconds between two such messages; a page that asks more often is disconnected."""
-_STARTING, _REQUEST, _ANSWER, _CLOSING = 10.0, 5.0, 120.0, 1.0
-"""Time in seconds to wait for the server to start, for a request, for a page to take its answer, and to close."""
+_STARTING = 10.0
+"""Seconds for the server to start."""
+_REQUEST = 5.0
+"""Seconds for a request to arrive."""
+_ANSWER = 120.0
+"""Seconds for a page to take its answer."""
+_CLOSING = 1.0
+"""Seconds for a connection to close, and for a stranger to take its answer."""
 _SEND_BUFFER = 65536
 """Bytes that may wait for a viewer, beyond those in the system's buffer, before frames are left out."""
 _EFFORT = 1

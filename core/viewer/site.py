@@ -20,9 +20,16 @@ from .nats import MAX_PAYLOAD
 from .page import content_policy, page_files
 from .scene import description
 
-SUBJECT, SENDER, VIEWER = "facemime", "sender", "viewer"
-"""Subject of the frames, and the users of the relay."""
-_SECRETS, _CONFIGURATION, _PUBLIC = "secrets.json", "relay.conf", "site"
+SUBJECT = "facemime"
+"""Subject of the frames."""
+SENDER = "sender"
+"""User of the relay that sends the frames."""
+VIEWER = "viewer"
+"""User of the relay that receives them."""
+_SECRETS = "secrets.json"
+_CONFIGURATION = "relay.conf"
+_PUBLIC = "site"
+"""Folder that a web server has to publish."""
 _PORTS = {"ws": 80, "wss": 443}
 _TOKEN = re.compile(r"[0-9a-f]{32}")
 _MAX_SECRETS = 1024

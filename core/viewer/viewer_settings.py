@@ -22,7 +22,10 @@ MAX_VIEWERS = 16
 """Largest number of pages that may watch at a time."""
 _HOST = re.compile(r"(?:\[[0-9a-fA-F:.]{2,45}\]|[0-9A-Za-z._-]{1,253})(?::[0-9]{1,5})?")
 """A host as browsers write it: the policy of the page repeats it, so it must have nothing else."""
-_MIN_TOKEN, _MAX_TOKEN = 16, 128
+_MIN_TOKEN = 16
+"""Smallest number of characters in a token."""
+_MAX_TOKEN = 128
+"""Largest size of a token's file in bytes."""
 
 
 @dataclass(frozen=True)

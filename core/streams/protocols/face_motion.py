@@ -22,9 +22,10 @@ from .frames import FaceValues, PacketError, StreamFrame, no_coefficients
 from .ifacialmocap import phone_face
 
 MAGIC = b"FMV3"
-PHONE_PORT, TCP_PORT = 49983, 49984
-"""Ports on which both apps listen for datagrams, and for connections; the latter also of a receiver for those started
-by hand."""
+PHONE_PORT = 49983
+"""Port on which both apps listen for datagrams."""
+TCP_PORT = 49984
+"""Port on which both apps listen for connections, and a receiver for those started by hand."""
 HELLO, SCHEMA, SCHEMA_ACK, FRAME, GET_SCHEMA, PING, PONG, STOP, ERROR = range(1, 10)
 REVISION = 5
 HEADER = Struct("<4sBBHQIIIIHHI")
@@ -37,9 +38,26 @@ START = Struct("<QHHII")
 POSE = Struct("<12f")
 """Rotation and position of the head, and rotation of the right and the left eye, in degrees and metres."""
 SCHEMA_DATAGRAM = 576
-_TRACKED, _FLAGS = 1, 3
-_RATES, _DATAGRAMS, _LEASES = (1, 60), (SCHEMA_DATAGRAM, 1200), (5_000, 60_000)
-_MAX_SCHEMA, _MAX_NAMES, _MAX_NAME, _MAX_PARTS, _MAX_ERROR = 262_144, 4096, 255, 512, 512
+_TRACKED = 1
+"""Flag of a frame that shows a face."""
+_FLAGS = 3
+"""All flags that a frame may have."""
+_RATES = (1, 60)
+"""Smallest and largest number of frames per second."""
+_DATAGRAMS = (SCHEMA_DATAGRAM, 1200)
+"""Smallest and largest limit on the size of a datagram in bytes."""
+_LEASES = (5_000, 60_000)
+"""Shortest and longest lease in milliseconds."""
+_MAX_SCHEMA = 262_144
+"""Largest size of a schema in bytes."""
+_MAX_NAMES = 4096
+"""Largest number of names in a schema."""
+_MAX_NAME = 255
+"""Largest number of characters in a name."""
+_MAX_PARTS = 512
+"""Largest number of parts of a message."""
+_MAX_ERROR = 512
+"""Largest size of an error in bytes."""
 MAX_MESSAGE = HEADER.size + _MAX_SCHEMA
 """Largest size of a message in bytes."""
 _ENCODINGS: dict[str, np.dtype[Any]] = {"i16": np.dtype("<i2"), "i32": np.dtype("<i4")}
@@ -50,9 +68,16 @@ STATED = {
     "rotation_unit": "degree",
     "position_unit": "meter",
 }
-_PING, _REPAIR, _AGAIN, _REPAIRED, _OVER = 3.0, 3.0, 1.0, 6.5, 12.0
-"""Seconds between two pings; seconds without a frame after which the schema is requested and another session may begin;
-between two such requests; until these requests end; and until the session has ended."""
+_PING = 3.0
+"""Seconds between two pings."""
+_REPAIR = 3.0
+"""Seconds without a frame after which the schema is requested and another session may begin."""
+_AGAIN = 1.0
+"""Seconds between two such requests."""
+_REPAIRED = 6.5
+"""Seconds without a frame after which these requests end."""
+_OVER = 12.0
+"""Seconds without a frame after which the session has ended."""
 REFUSALS = {
     "BUSY": "The phone is sending to another program. Stop that first.",
     "NOT_ALLOWED": "The app is not allowed to send: its trial has ended, or it was not purchased.",

@@ -16,8 +16,12 @@ from numpy.typing import NDArray
 from ...face.coefficient_names import column_of
 from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned
 
-PORT, PHONE_PORT, FACEMOTION_PORT = 49983, 49983, 49993
-"""Ports of the receiver, and of the two apps on the phone."""
+PORT = 49983
+"""Port of the receiver."""
+PHONE_PORT = 49983
+"""Port of iFacialMocap on the phone."""
+FACEMOTION_PORT = 49993
+"""Port of Facemotion3D on the phone."""
 START = b"iFacialMocap_sahuasouryya9218sauhuiayeta91555dy3719|sendDataVersion=v2"
 FACEMOTION_START = b"FACEMOTION3D_OtherStreaming"
 """Messages that ask the phone to send, to `PHONE_PORT` and `FACEMOTION_PORT`."""
@@ -28,8 +32,10 @@ TCP_STOP = b"iFacialMocap_UDPTCPSTOP_sahuasouryya9218sauhuiayeta91555dy3719"
 FACEMOTION_TCP_START = FACEMOTION_START + b"|protocol=tcp"
 FACEMOTION_STOP = b"StopStreaming_FACEMOTION3D"
 """Datagrams to the same ports that ask the phone to connect, and to end."""
-TCP_END, FACEMOTION_TCP_END = b"___iFacialMocap", b"___FACEMOTION3D"
-"""End of each packet over TCP."""
+TCP_END = b"___iFacialMocap"
+"""End of each packet of iFacialMocap over TCP."""
+FACEMOTION_TCP_END = b"___FACEMOTION3D"
+"""End of each packet of Facemotion3D over TCP."""
 _NUMBER = r"[+-]?\d{1,6}(?:\.\d{0,20})?(?:[eE][+-]?\d{1,2})?"
 _VALUE = re.compile(rf"([^-&#]{{1,64}})[-&]({_NUMBER})")
 _HEAD = re.compile(rf"head#({_NUMBER}(?:,{_NUMBER}){{2,5}})")

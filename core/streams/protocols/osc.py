@@ -24,7 +24,12 @@ _TEXTS = "sS"
 _OTHER = {"t": 8, "c": 4, "r": 4, "m": 4}
 """Sizes in bytes of arguments that no program uses for faces."""
 _SIZE = struct.Struct(">i")
-_MAX_DEPTH, _MAX_MESSAGES, _MAX_ARGUMENTS = 4, 512, 32
+_MAX_DEPTH = 4
+"""Largest number of bundles that a message may be nested in."""
+_MAX_MESSAGES = 512
+"""Largest number of messages in a datagram."""
+_MAX_ARGUMENTS = 32
+"""Largest number of arguments of a message."""
 
 
 class Message(NamedTuple):

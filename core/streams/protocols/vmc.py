@@ -24,8 +24,10 @@ from .frames import (
     to_quaternion,
 )
 
-PORT, PERFORMER_PORT = 39539, 39540
-"""Ports on which avatars, and programs that forward performances, listen."""
+PORT = 39539
+"""Port on which avatars listen."""
+PERFORMER_PORT = 39540
+"""Port on which programs that forward performances listen."""
 Names = Literal["arkit", "vrm"]
 """Names of expressions that are sent: ARKit's, or those of VRM."""
 _MAX_BUNDLE = 1400
@@ -51,11 +53,14 @@ _SHARES: dict[str, tuple[tuple[str, float], ...]] = {
 }
 """VRM's expressions, in lower case, as ARKit's coefficients, for senders that have nothing else."""
 _EYES = ("RightEye", "LeftEye")
-_LEAST_GAZE, _MAX_GAZE = 1e-4, np.radians(60.0)
-"""Smallest angle in radians of eyes that are tracked, as the bones of others are sent without a rotation; and largest,
-as some avatars have eye bones that are turned at rest."""
-_MAX_NAMES, _MAX_NAME = 1000, 64
-"""Largest number of names that are remembered, and of characters in each."""
+_LEAST_GAZE = 1e-4
+"""Smallest angle in radians of eyes that are tracked, as the bones of others are sent without a rotation."""
+_MAX_GAZE = np.radians(60.0)
+"""Largest angle in radians of eyes that are tracked, as some avatars have eye bones that are turned at rest."""
+_MAX_NAMES = 1000
+"""Largest number of names that are remembered."""
+_MAX_NAME = 64
+"""Largest number of characters of a name that are remembered."""
 
 
 class VmcDecoder:

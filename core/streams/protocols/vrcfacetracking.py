@@ -27,8 +27,10 @@ _OPEN = 0.75
 """EyeLid of an open eye; more is a wide one."""
 _PARAMETER = re.compile(r"/avatar/parameters/(?:.*/)?v2/(\w+?)(Negative|[1-9]\d{0,2})?")
 _ACTIVE = re.compile(r"/avatar/parameters/(?:.*/)?(Eye|Expression|Lip)TrackingActive")
-_GAZE, _CLOSED = "/tracking/eye/LeftRightPitchYaw", "/tracking/eye/EyesClosedAmount"
-"""VRChat's own messages: degrees down and to the performer's right, and a share."""
+_GAZE = "/tracking/eye/LeftRightPitchYaw"
+"""VRChat's own message of the gaze of each eye, in degrees down and to the performer's right."""
+_CLOSED = "/tracking/eye/EyesClosedAmount"
+"""VRChat's own message of how far both eyes are closed, as a share."""
 _PREFIXES = ("/avatar/", "/tracking/")
 _BITS = tuple(1 << bit for bit in range(8))
 

@@ -25,7 +25,10 @@ PORT = 21412
 """Port of the phone, which answers on a port named in the request."""
 _LEASE = 5
 """Seconds that a request asks for; the phone allows 0.5 to 10."""
-_MAX_ENTRIES, _MAX_TIME = 1000, 1e13
+_MAX_ENTRIES = 1000
+"""Largest number of values in a packet."""
+_MAX_TIME = 1e13
+"""Largest time of a packet in milliseconds."""
 
 
 def request(port: int) -> bytes:

@@ -8,7 +8,9 @@ import socket
 
 from ...errors import OutputError, SourceError
 
-LOOPBACK, EVERYWHERE = "127.0.0.1", "0.0.0.0"
+LOOPBACK = "127.0.0.1"
+EVERYWHERE = "0.0.0.0"
+"""All addresses of this computer."""
 _ALL = {EVERYWHERE, "::"}
 _UNPRIVILEGED = 1024
 """First port that systems let every program listen on."""

@@ -40,7 +40,14 @@ _BODIES = {
     HELLO: NONCE_BYTES,
     WELCOME: 2 * NONCE_BYTES,
 }
-_MAX_TIME, _MAX_PIXEL, _MAX_SCALE, _MAX_ANGLE = 1e12, 1e6, 1e5, 7.0
+_MAX_TIME = 1e12
+"""Largest time of a packet in seconds."""
+_MAX_PIXEL = 1e6
+"""Largest coordinate of a face in pixels."""
+_MAX_SCALE = 1e5
+"""Largest scale of a face, in pixels per outer-eye distance."""
+_MAX_ANGLE = 7.0
+"""Largest angle of a head in radians."""
 _ACTION_STEP = 1.0 / 128.0
 _UNKNOWN_ACTION = 255
 

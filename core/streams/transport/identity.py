@@ -16,11 +16,15 @@ from .addresses import parse_address, reachable
 from .pairing import TOKEN_BYTES, Pairing, fingerprint_of
 from .security import server_context
 
-_CERTIFICATE, _KEY, _TOKEN = "certificate.pem", "key.pem", "token"
+_CERTIFICATE = "certificate.pem"
+_KEY = "key.pem"
+_TOKEN = "token"
 _YEARS = 10
 _MOST = 1 << 16
-_COMMON_NAME, _ECDSA_WITH_SHA256 = "2.5.4.3", "1.2.840.10045.4.3.2"
-"""Object identifiers of RFC 5280 and RFC 5758."""
+_COMMON_NAME = "2.5.4.3"
+"""Object identifier of RFC 5280."""
+_ECDSA_WITH_SHA256 = "1.2.840.10045.4.3.2"
+"""Object identifier of RFC 5758."""
 _UTF8, _UTC_TIME, _TIME = 0x0C, 0x17, 0x18
 """Tags of DER: UTF8String, UTCTime and GeneralizedTime."""
 

@@ -16,7 +16,9 @@ from ...errors import SourceError
 from .addresses import bracketed, is_loopback, parse_address
 
 PORT = 21576
-TOKEN_BYTES, FINGERPRINT_BYTES = 16, 32
+TOKEN_BYTES = 16
+FINGERPRINT_BYTES = 32
+"""Size of a digest of SHA-256."""
 VERSION = 1
 ACCEPTED, REFUSED = 0, 1
 GREETING = struct.Struct(f">4sB{TOKEN_BYTES}s")

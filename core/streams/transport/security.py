@@ -17,9 +17,15 @@ from ...errors import OutputError, SourceError
 from ...files.reading import read_bytes
 from ...files.writing import write_secret
 
-TAG_BYTES, NONCE_BYTES, SESSION_BYTES = 16, 16, 8
-_MIN_KEY, _MAX_KEY = 16, 4096
-"""Smallest and largest size of a key's file in bytes."""
+TAG_BYTES = 16
+"""Size of a signature, which is the first half of an HMAC-SHA256."""
+NONCE_BYTES = 16
+SESSION_BYTES = 8
+"""Size of the name of a session."""
+_MIN_KEY = 16
+"""Smallest number of characters in a key."""
+_MAX_KEY = 4096
+"""Largest size of a key's file in bytes."""
 _WINDOW = 64
 """Number of packets by which one may be late and still be distinguished from a replay."""
 

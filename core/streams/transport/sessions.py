@@ -11,8 +11,10 @@ from . import datagram
 from .datagram import HELLO, WELCOME, Packet
 from .security import NONCE_BYTES, SESSION_BYTES, ReplayWindow, is_signed, session_key, sign
 
-_MAX_SESSIONS, _SILENT = 16, 3.0
-"""Largest number of sessions, and seconds without a packet after which one may be replaced."""
+_MAX_SESSIONS = 16
+"""Largest number of sessions."""
+_SILENT = 3.0
+"""Seconds without a packet after which a session may be replaced."""
 _MAX_ANSWERS = 20.0
 """Largest number of answers to handshakes per second."""
 

@@ -18,10 +18,15 @@ from .background import Serving, listening
 from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
 from .sessions import OwnSender
 
-_PATIENCE, _ALIVE, _STUCK = 5.0, 1.0, 10.0
-"""Seconds for the handshake and the token, largest pause between two messages, and largest time to send one."""
-_MAX_CONNECTIONS, _MAX_PER_ADDRESS = 32, 4
-"""Largest number of connections, and of those from one address that have not shown the token."""
+_PATIENCE = 5.0
+"""Seconds for the handshake, and for the token."""
+_ALIVE = 1.0
+"""Largest pause between two messages in seconds."""
+_STUCK = 10.0
+"""Largest time to send one message in seconds."""
+_MAX_CONNECTIONS = 32
+_MAX_PER_ADDRESS = 4
+"""Largest number of connections from one address that have not shown the token."""
 _WAITING = 1 << 13
 """Bytes that may wait for a receiver, beyond those in the system's buffer, before frames are left out."""
 _LOG = logging.getLogger(__name__)
