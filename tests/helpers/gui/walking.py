@@ -17,7 +17,7 @@ import sys, threading
 import numpy as np
 package = sys.modules[{MODULE!r}]
 from {MODULE}.sessions.session import Session
-from {MODULE}.core.landmarks import from_ibug
+from {MODULE}.core.face.landmarks import from_ibug
 from {MODULE}.blender.meshes import read_landmarks, read_regions, read_selection
 def shown(obj):
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
