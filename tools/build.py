@@ -1,7 +1,8 @@
 """Build the extension: get wheels and manual, pack its zips with Blender's own tool, and validate each.
 
 There is a zip per platform and version of Python. A wheel of scipy serves a single version and weighs 30 to 41 MB: a
-zip for both versions would weigh 120 to 158 MB rather than 90 to 119 MB.
+zip for both versions would weigh 120 to 158 MB rather than 90 to 119 MB. Only on Linux the zip for the earlier Blenders
+has both, as distributions build these with a newer Python: Debian 13 has Blender 4.3 with Python 3.13.
 """
 
 from __future__ import annotations
@@ -62,13 +63,18 @@ def pack(tool: Path, blender: str) -> None:
     """
     python, versions = PYTHONS[blender]
     others = [f"-cp{other.replace('.', '')}-cp" for other, _ in PYTHONS.values() if other != python]
+
+    def is_unfit(name: str) -> bool:
+        both = blender == next(iter(PYTHONS)) and "manylinux" in name
+        return not both and any(other in name for other in others)
+
     with tempfile.TemporaryDirectory() as folder:
         source, packed = Path(folder) / "source", Path(folder) / "packed"
         packed.mkdir()
-        left_out = shutil.ignore_patterns(".*", "build", "dist", "__pycache__", *(f"*{other}*" for other in others))
-        shutil.copytree(ROOT, source, ignore=left_out)
+        left_out = shutil.ignore_patterns(".*", "build", "dist", "__pycache__")
+        shutil.copytree(ROOT, source, ignore=lambda at, names: left_out(at, names) | set(filter(is_unfit, names)))
         lines = (ROOT / MANIFEST).read_text(encoding="utf-8").splitlines()
-        kept = [line for line in lines if not any(other in line for other in others)]
+        kept = [line for line in lines if not is_unfit(line)]
         own = "\n".join(versions if line.startswith("blender_version_min") else line for line in kept)
         (source / MANIFEST).write_text(own + "\n", encoding="utf-8")
         run(tool, "build", "--source-dir", str(source), "--output-dir", str(packed), "--split-platforms")
