@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 
 from ..core.errors import FacemimeError
-from ..core.files.version import version
+from ..core.files.assets import version
 from ..core.puppet.job import HeadFile
 from . import bind, landmarks, receive, select, send, serve, takes
 from .batch import command as batch

@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 
 from ...core.errors import SourceError
+from ...core.files.assets import version
 from ...core.files.reading import parse_json, read_text
-from ...core.files.version import version
 from ...core.files.writing import reason_of, replacing
 from ...core.media.capture import check_readable, require_utf8_name
 from ...core.puppet.job import PuppetJob

@@ -18,7 +18,7 @@ from ..errors import SourceError
 from ..face.actions import N_ACTIONS
 from ..face.coefficient_names import N_COEFFICIENTS
 from ..face.landmarks import N_LANDMARKS
-from ..files.version import version
+from ..files.assets import version
 from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 

@@ -1,4 +1,4 @@
-"""Times of rows as timecodes, whose rate a table does not state (takes.md)."""
+"""Timecodes: times of rows whose rate a table does not state (takes.md), and times as people read them."""
 
 from __future__ import annotations
 
@@ -95,3 +95,10 @@ def _turnovers(seconds: FloatArray, steps: FloatArray, step: float) -> NDArray[n
     """Return the rate at each place where the next second begins, (K,)."""
     turned = (np.diff(seconds) % _DAY == 1.0) & (steps < 0.0)
     return np.asarray(step - steps[turned])
+
+
+def timecode(seconds: float) -> str:
+    """Format a time as minutes and seconds, such as 1:05.2; tenths are rounded, and negative times have a sign."""
+    tenths = round(10.0 * abs(seconds))
+    sign = "-" if seconds < 0.0 and tenths else ""
+    return f"{sign}{tenths // 600}:{tenths // 10 % 60:02d}.{tenths % 10}"
