@@ -19,10 +19,10 @@ _INFINITE = 1e15
 _NAMED = 3
 """Number of vertices that a message names."""
 _ASTRAY = 16.0
-"""Distance from the middle of a mesh above which a vertex is astray, relative to the distance within which most of the
-vertices lie. The feet of a character whose head has nine tenths of the vertices are at 10."""
+"""Distance from the middle of a mesh above which a vertex is astray, relative to the distance within which `_SPREAD`
+percent of the vertices lie. The feet of a character whose head has nine tenths of the vertices are at 10."""
 _SPREAD = 90.0
-"""Percentage of the vertices that are most of them."""
+"""Percentage of the vertices whose distance from the middle is the usual one."""
 _FEW = 0.01
 """Largest share of the vertices that can be astray; more are a part of the mesh."""
 _ONE_SIDED = 0.98

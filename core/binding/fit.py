@@ -39,9 +39,9 @@ _EXACT = 0.002
 _AGREEMENT = 0.12
 """Median distance, in outer-eye distances, between seen landmarks and marks above which the seen face is rejected."""
 _BIAS = np.zeros(N_LANDMARKS)
+"""Share of the tracker's error on the template that is expected on any mesh."""
 _BIAS[BROWS] = 0.5
 _BIAS[LIPS] = 0.15
-"""Share of the tracker's error on the template that is expected on any mesh."""
 
 
 @dataclass(frozen=True)

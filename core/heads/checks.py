@@ -21,10 +21,10 @@ _MAX_LISTED = 8
 _EYE_BROWS = BROWS[:5], BROWS[:4:-1]
 """Landmarks of the brows above `EYES`, the outer end first."""
 _MIN_BROW_GAP = 0.05
-"""Height of a brow above the upper lid: at least 0.15 on an anime figure, 0.44 on people. This limit and the following
-ones are in eye widths, and leave a margin to what was found on heads that are bound correctly."""
+"""Height of a brow above the upper lid: 0.15 or more on an anime figure, 0.44 or more on people. This limit and the
+following ones are in eye widths, and leave a margin to what was found on heads that are bound correctly."""
 _MIN_BROW_SHARE = 0.4
-"""The same height relative to that of the lid above the corners: at least 0.7 on an anime figure, 1.7 on people."""
+"""The same relative to the height of the lid above the corners: 0.7 or more on an anime figure, 1.7 on people."""
 _MAX_LID_HEIGHT = 0.6
 """Distance of a lid above or below the corners: up to 0.32."""
 _MAX_OVERLAP = 0.1

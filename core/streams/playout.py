@@ -26,11 +26,11 @@ _JUMP = 2.0
 _MAX_WAITING = 240
 """Largest number of frames that wait."""
 _INTERVAL = 1.0 / 30.0
-"""Seconds between two frames until these are measured."""
+"""Time between two frames in seconds that is assumed at first."""
 _MIN_INTERVAL = 1e-3
-"""Seconds between two frames above which they count for the interval."""
+"""Time between two frames in seconds above which it is learnt from."""
 _MAX_INTERVAL = 0.5
-"""Seconds between two frames below which they count for the interval."""
+"""Time between two frames in seconds below which it is learnt from."""
 _PREDICTED = 2
 """Largest number of consecutive missing frames that are predicted."""
 _DAMPING = 0.8

@@ -35,7 +35,7 @@ _OPEN_ABOVE = 0.16
 _CLEAR_ABOVE = 0.2
 """Aperture of an eye, as a share of its width, above which its pupil is seen well enough to detect crossed eyes."""
 _FRONTAL_BELOW = 0.4
-"""Yaw of the head and of the gaze, in radians, below which both pupils are."""
+"""Yaw of the head and of the gaze, in radians, below which both pupils are seen well enough for that."""
 _BALL = np.array([0.0, -0.02, 0.075])
 """Centre of an eyeball relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13

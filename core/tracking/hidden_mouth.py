@@ -8,7 +8,7 @@ from ..face.landmarks import LIPS
 from ..numeric.arrays import FloatArray
 
 _KNOWN = 0.6
-"""Mean certainty of the lips from which on they are remembered."""
+"""Smallest mean certainty of the lips with which they are remembered."""
 _SEEN = 0.5
 """Mean certainty of the lips below which they are partly held. In strangers' clips a mouth with the tongue out, a beard
 or a scream has 0.53 or more, one behind a hand 0.2 to 0.5."""

@@ -34,7 +34,7 @@ _HEADER = struct.Struct("<16sIQ32s")
 _MAX_SIDE = 512
 """Largest sizes of crops and scales of experts, in pixels: four times those in use."""
 _MAX_COORDINATE = 100.0
-"""Largest coordinate of a position or displacement, in the head frame."""
+"""Largest coordinate of a position or displacement, in outer-eye distances."""
 _MAX_WEIGHT = 1e4
 """Largest weight of a patch expert."""
 _MAX_MODES = 512

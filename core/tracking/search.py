@@ -20,7 +20,7 @@ from .pdm import FittedShape
 _MAX_BOXES = 60
 """Largest number of starts per effort that are fitted coarsely."""
 _MAX_FACES = 4
-"""Largest number of those that are then fitted to the end."""
+"""Largest number of starts per effort that are then fitted to the end."""
 _MAX_GRADUAL = 6
 """Largest number of starts per step of a gradual search that are fitted coarsely."""
 _MAX_DETECTIONS = 8
