@@ -335,11 +335,13 @@ def _products(left: FloatArray, right: FloatArray) -> FloatArray:
 
 def _inverse(matrices: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
     """Invert a stack of symmetric positive definite matrices, (B, P, P)."""
-    (factorise,) = linalg.get_lapack_funcs(("potrf",), (matrices,))
-    (invert,) = linalg.get_lapack_funcs(("potri",), (matrices,))
     out = np.empty_like(matrices)
+    if not out.size:  # of a separator between pieces that are not joined; LAPACK may end the process for it
+        return out
+    factorise, invert = linalg.get_lapack_funcs(("potrf", "potri"), (matrices,))
     for matrix, inverse in zip(matrices, out, strict=True):
-        inverse[...] = invert(factorise(matrix.T)[0])[0].T
+        factor, fault = factorise(matrix.T)
+        inverse[...] = linalg.inv(matrix) if fault else invert(factor)[0].T  # rounding made it indefinite
     lower = np.tril_indices(matrices.shape[-1], -1)
     out[:, lower[1], lower[0]] = out[:, lower[0], lower[1]]
     return out

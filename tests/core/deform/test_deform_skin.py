@@ -35,6 +35,13 @@ def test_nested_dissection_agrees_with_a_dense_solver(seed, count):
     np.testing.assert_allclose(found, np.linalg.solve(dense, right), atol=1e-9)
 
 
+def test_lapack_is_never_asked_for_the_inverse_of_nothing(capfd):
+    count = 400  # without edges, the separators are empty
+    solver = NestedDissection(np.empty((0, 2), int), np.empty(0), np.full(count, 2.0), np.eye(count)[:, :3])
+    np.testing.assert_array_equal(solver.solve(np.ones((count, 1))), np.full((count, 1), 0.5))
+    assert capfd.readouterr() == ("", ""), "some LAPACKs end the process after a message"
+
+
 def test_the_covariance_is_positive_definite_symmetric_and_one_on_average():
     among = COVARIANCE.control_points
     np.testing.assert_allclose(among, among.T, atol=1e-9)
