@@ -10,3 +10,8 @@ head
 
 Angles are in radians and times in seconds. Only `blender/` converts to Blender's axes.
 """
+
+if __name__ == "facemime.core":  # the library; nothing else imports the extension's modules
+    from .earlier_names import install
+
+    install()

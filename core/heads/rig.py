@@ -170,3 +170,7 @@ def _lashes(head: Head) -> FaceParts:
     count = len(head.vertices)
     kinds = np.repeat([Part.SKIN, Part.ON_SKIN], [count, len(part.vertices)]).astype(np.int8)
     return FaceParts(kinds, part.vertices, np.where(part.faces < 0, -1, part.faces + count))
+
+
+built_in_rig = built_in_head
+"""Its name in version 0.1.0, for programs that import it, until 1.0."""
