@@ -138,7 +138,7 @@ def subject(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def required_subject(context: bpy.types.Context) -> bpy.types.Object:
-    """Return the object as `subject` does, where `poll` requires one; HeadError if there is none."""
+    """Return the object as `subject` does; HeadError if there is none, which `poll` rules out."""
     return object_of(subject(context))
 
 

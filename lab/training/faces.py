@@ -1,7 +1,7 @@
 """Conversion of sets of face photos, as published by their authors, to the folders used here (lab/training/README.md).
 
 `python -m lab.training.faces FOLDER SET` reads the photos of a folder. Landmarks come from the template beside each
-photo (`001_03.tem` beside `001_03.jpg`), or from MediaPipe if there is none.
+photo (`001_03.tem` beside `001_03.jpg`); MediaPipe finds them if there is no template.
 """
 
 from __future__ import annotations

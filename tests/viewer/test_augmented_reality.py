@@ -105,7 +105,7 @@ def test_a_headset_shows_the_head_in_the_room_and_gives_it_back(enter, watched):
     assert page.evaluate("viewer.room.group.quaternion.toArray()") == [0, 0, 0, 1]
     page.evaluate("document.getElementById('immersive').click()")
     until(page, "viewer.renderer.xr.isPresenting && viewer.immersion.finds")
-    assert page.evaluate("viewer.immersion.place") is None, "another session begins anew"
+    assert page.evaluate("viewer.immersion.place") is None, "each session starts unplaced"
 
 
 def test_a_press_puts_the_head_on_the_table_facing_the_viewer(enter, watched):
