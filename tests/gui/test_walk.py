@@ -278,7 +278,7 @@ def test_settings_are_saved_and_loaded_as_a_preset_by_clicks(blender, sidebar):
     add_head(sidebar)
     sidebar.open_panel("FACEMIME_PT_expression")
     blender.do("bpy.context.scene.facemime.strength_lower = 1.5")
-    blender.do(f"from {MODULE}.settings import presets")
+    blender.do(f"from {MODULE}.settings import user_presets as presets")
     sidebar.open_presets()
     blender.key("p")  # Blender's choice for Save Preset, as Strong has taken its first letter
     blender.redraw()
