@@ -98,7 +98,11 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
     for part, cutoff in chosen.items():
         if part not in CUTOFFS or not cutoff >= _MIN_CUTOFF:
             raise FacemimeError(
-                f"{part}={cutoff:g} is not a cutoff. Use {_MIN_CUTOFF:g} Hz or more for one of: {', '.join(CUTOFFS)}."
+                "{part}={cutoff:g} is not a cutoff. Use {min_cutoff:g} Hz or more for one of: {known}.",
+                part=part,
+                cutoff=cutoff,
+                min_cutoff=_MIN_CUTOFF,
+                known=", ".join(CUTOFFS),
             )
     shape, pose, gaze = take.shape.astype(np.float64), take.pose.copy(), take.gaze.astype(np.float64)
     for run in _runs(take.times, take.found):
