@@ -36,7 +36,7 @@ ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
-"""Ridge of equation 9.6 towards the gains of the given table."""
+"""Ridge of equation 9.7 towards the gains of the given table."""
 _FIRMNESS = 1e5
 """Weight of the given values in `KeyMap.invert`, relative to the coefficients that are near: far more, but well within
 double precision."""

@@ -121,6 +121,7 @@ class _Measure:
         if not shut:
             return float("nan")
         before, after = (lid_gaps((self._rest + moved)[self._landmarks]) for moved in (np.zeros_like(motion), motion))
+        # An eye that is modelled shut has no opening, and counts as shut.
         shares = after / np.maximum(before, 1e-9 * self._unit)
         return float(max(np.maximum(shares[pairs], 0.0).max() for pairs in shut))
 
