@@ -99,7 +99,7 @@ __all__ = [  # noqa: RUF022, which sorts by another alphabet
 
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")  # noqa: EM102 - as Python says it
     value = getattr(import_module(f".core.{_PLACES[name]}", __name__), name)
     globals()[name] = value
     return value

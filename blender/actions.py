@@ -105,7 +105,9 @@ def check_curves(owner: bpy.types.ID) -> None:
     """Raise HeadError if nothing can be animated, as a strip of `owner` is being tweaked."""
     data = owner.animation_data
     if data is not None and data.use_tweak_mode:
-        raise HeadError(f"A strip of {owner.name} is in Tweak Mode. Leave Tweak Mode in the NLA Editor first.")
+        raise HeadError(
+            "A strip of {name} is in Tweak Mode. Leave Tweak Mode in the NLA Editor first.", name=owner.name
+        )
 
 
 def remove_curves(owner: bpy.types.ID, prefix: str) -> None:

@@ -231,7 +231,7 @@ def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:
     if attribute is None or attribute.data_type != "INT8" or attribute.domain != "POINT":
         return kinds
     if mesh.is_editmode:
-        raise HeadError(f"{mesh.name} is in Edit Mode. Leave Edit Mode first.")
+        raise HeadError("{name} is in Edit Mode. Leave Edit Mode first.", name=mesh.name)
     attribute.data.foreach_get("value", kinds)
     return np.where(np.isin(kinds, list(Part)), kinds, np.int8(Part.ON_HEAD))
 

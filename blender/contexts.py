@@ -43,7 +43,7 @@ def scene_of(obj: bpy.types.Object) -> bpy.types.Scene:
         return current
     if obj.users_scene:
         return obj.users_scene[0]
-    raise HeadError(f"{obj.name} is in no scene. Link it to a collection of a scene.")
+    raise HeadError("{name} is in no scene. Link it to a collection of a scene.", name=obj.name)
 
 
 @contextmanager

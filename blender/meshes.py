@@ -43,7 +43,9 @@ def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
     """Return the mesh of `obj`; raises HeadError if there is no object or it is not a mesh."""
     obj = object_of(obj)
     if not isinstance(obj.data, bpy.types.Mesh):
-        raise HeadError(f"{obj.name} is not a mesh. Select a head mesh, or add one with Add > Mesh > Facemime Head.")
+        raise HeadError(
+            "{name} is not a mesh. Select a head mesh, or add one with Add > Mesh > Facemime Head.", name=obj.name
+        )
     return obj.data
 
 
@@ -58,8 +60,9 @@ def require_own(mesh: bpy.types.Mesh) -> None:
     """Raise HeadError if `mesh` is linked from another file, as changes to it would not be saved."""
     if mesh.library is not None:
         raise HeadError(
-            f"The mesh {mesh.name} is linked from another file, so changes to it would be lost. "
-            "Change it in that file, or make it local."
+            "The mesh {name} is linked from another file, so changes to it would be lost. "
+            "Change it in that file, or make it local.",
+            name=mesh.name,
         )
 
 
@@ -90,7 +93,7 @@ def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
     if mesh.shape_keys is not None:
         mesh.shape_keys.reference_key.points.foreach_get("co", flat)
     elif mesh.is_editmode:
-        raise HeadError(f"{mesh.name} is in Edit Mode. Leave Edit Mode first.")
+        raise HeadError("{name} is in Edit Mode. Leave Edit Mode first.", name=mesh.name)
     elif len(mesh.vertices):  # an empty mesh lacks the attribute
         mesh.attributes["position"].data.foreach_get("vector", flat)
     return from_blender(flat.reshape(-1, 3))
@@ -159,16 +162,21 @@ def _stored_landmarks(obj: bpy.types.Object, name: str) -> NDArray[np.intp]:
     landmarks, bound_at = stored_integers(mesh, name), stored_integers(mesh, COUNT_PROPERTY)
     if landmarks is None or landmarks.shape != (N_LANDMARKS,):
         raise HeadError(
-            f"{obj.name} has no landmarks. Find its face in Head > Your Own Head, or use the built-in head."
+            "{name} has no landmarks. Find its face in Head > Your Own Head, or use the built-in head.", name=obj.name
         )
     count = len(mesh.vertices)
     if bound_at is not None and not np.array_equal(bound_at, count):
         raise HeadError(
-            f"The vertex count of {obj.name} has changed from {bound_at} to {count} since its face was found. "
-            "Undo that change, or find the face again."
+            "The vertex count of {name} has changed from {bound_at} to {count} since its face was found. "
+            "Undo that change, or find the face again.",
+            name=obj.name,
+            bound_at=bound_at,
+            count=count,
         )
     if landmarks.min() < 0 or landmarks.max() >= count:
-        raise HeadError(f"The landmarks of {obj.name} refer to vertices that no longer exist. Find the face again.")
+        raise HeadError(
+            "The landmarks of {name} refer to vertices that no longer exist. Find the face again.", name=obj.name
+        )
     return landmarks
 
 
@@ -281,7 +289,9 @@ def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
     weights = read_weights(obj, slice(None))
     if empty := [name for name, row in zip(REGION_GROUPS, weights, strict=True) if not row.any()]:
         raise HeadError(
-            f"Empty vertex groups of {obj.name}: {', '.join(empty)}. Paint these regions, or use Reset Regions."
+            "Empty vertex groups of {name}: {empty}. Paint these regions, or use Reset Regions.",
+            name=obj.name,
+            empty=", ".join(empty),
         )
     return weights
 
@@ -307,7 +317,9 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
     groups = [group for name in REGION_GROUPS if (group := obj.vertex_groups.get(name)) is not None]
     if missing := [name for name in REGION_GROUPS if name not in obj.vertex_groups]:
         raise HeadError(
-            f"Missing vertex groups of {obj.name}: {', '.join(missing)}. Paint these regions, or use Reset Regions."
+            "Missing vertex groups of {name}: {missing}. Paint these regions, or use Reset Regions.",
+            name=obj.name,
+            missing=", ".join(missing),
         )
     vertices = mesh_of(obj).vertices[part]
     weights = np.zeros((len(groups), len(vertices)), dtype=np.float32)

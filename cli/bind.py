@@ -140,4 +140,6 @@ def parse_mark(text: str) -> tuple[int, int | tuple[float, float, float]]:
         if point in MARKS and all(map(math.isfinite, (x, y, z))):
             return point, (x, y, z)
     known = ", ".join(map(str, sorted(MARKS)))
-    raise FacemimeError(f"{text!r} is not a point of a face. Use 8=VERTEX or 8=X,Y,Z, with one of: {known}.")
+    raise FacemimeError(
+        "{text!r} is not a point of a face. Use 8=VERTEX or 8=X,Y,Z, with one of: {known}.", text=text, known=known
+    )

@@ -111,7 +111,9 @@ def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
     pictures = {os.path.realpath(path) for path in paths}
     there = {os.path.dirname(picture) for picture in pictures}  # a link among the drawings may also lead to one
     if os.path.realpath(folder) in there or any(os.path.realpath(drawing) in pictures for drawing in drawings):
-        raise OutputError(f"Cannot draw in {folder}: it contains the images. Choose another folder for --overlay.")
+        raise OutputError(
+            "Cannot draw in {folder}: it contains the images. Choose another folder for --overlay.", folder=folder
+        )
     check_writable(next(iter(drawings)))
     return list(drawings)
 
@@ -124,7 +126,7 @@ def _images(paths: Sequence[Path]) -> list[Path]:
         elif check_readable(path):
             files.append(path)
         else:
-            raise SourceError(f"There is no file or folder {path}. Check the path.")
+            raise SourceError("There is no file or folder {path}. Check the path.", path=path)
     if not files:
         raise SourceError("There is no image in these folders. Use JPEG, PNG, BMP, TIFF or WebP.")
     return files
@@ -134,4 +136,8 @@ def _pictures_in(folder: Path) -> list[Path]:
     try:
         return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
     except OSError as error:
-        raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error
+        raise SourceError(
+            "The folder {folder} cannot be read: {error}. Change its permissions.",
+            folder=folder,
+            error=reason_of(error),
+        ) from error

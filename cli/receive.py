@@ -114,7 +114,7 @@ def _job(options: Options) -> ReceiveJob:
         raise FacemimeError("There are more senders than takes. Add another -o TAKE.facetake.")
     flip = tuple(filter(None, (axis.strip() for axis in options["flip"].split(","))))
     if unknown := set(flip) - set(AXES):
-        raise FacemimeError(f"{', '.join(sorted(unknown))} cannot be flipped. Use pitch, yaw and roll.")
+        raise FacemimeError("{unknown} cannot be flipped. Use pitch, yaw and roll.", unknown=", ".join(sorted(unknown)))
     host, port = parse_address(options["listen"] or LOOPBACK)
     return ReceiveJob(
         filled(

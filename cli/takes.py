@@ -226,7 +226,7 @@ def run_export(take: Path, output: Path, columns: str, rate: float) -> int:
 
 def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bool) -> None:
     if not 1.0 <= rate <= 200.0:
-        raise FacemimeError(f"The rate of a timecode cannot be {rate:g}. Use one between 1 and 200.")
+        raise FacemimeError("The rate of a timecode cannot be {rate:g}. Use one between 1 and 200.", rate=rate)
     neutral = calibrate(take)
     if neutral.warning:
         tell(f"facemime: {neutral.warning}")
@@ -288,7 +288,7 @@ def parse_span(text: str) -> Span:
     except ValueError:
         colon = ""
     if not colon or not start < end:
-        raise FacemimeError(f"{text!r} is not a time span. Use seconds, as in 1.5:4, 1.5: or :4.")
+        raise FacemimeError("{text!r} is not a time span. Use seconds, as in 1.5:4, 1.5: or :4.", text=text)
     return start, end
 
 
@@ -300,5 +300,5 @@ def parse_cutoffs(text: str) -> dict[str, float]:
         try:
             cutoffs[part.strip()] = float(value)
         except ValueError:
-            raise FacemimeError(f"{item!r} is not a cutoff. Use the form mouth=6,jaw=4.") from None
+            raise FacemimeError("{item!r} is not a cutoff. Use the form mouth=6,jaw=4.", item=item) from None
     return cutoffs

@@ -60,7 +60,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
             bake, *_ = puppet_heads(scene, heads, take, settings, targets)
         context.window_manager.facemime.recorded = ""
         frames, summary = len(bake.motion.times), bake.summary()
-        report(self, f"{frames} frames, {summary}")
+        report(self, "{frames} frames, {summary}", frames=frames, summary=summary)
         for warning in bake.warnings:
             report(self, warning, "WARNING")
 
@@ -76,7 +76,7 @@ class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         names = ", ".join(playing_under(required_subject(context)))
         count = mute_under(required_subject(context))
-        report(self, f"{count} curves and tracks muted: {names}")
+        report(self, "{count} curves and tracks muted: {names}", count=count, names=names)
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
@@ -92,8 +92,10 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
         if table is None:
             names = ", ".join(preset.name for preset in presets())
             raise HeadError(
-                f"No preset matches the shape keys of {required_subject(context).name} ({names}). "
-                "Add rows manually, import a mapping, or learn one from poses."
+                "No preset matches the shape keys of {name} ({names}). "
+                "Add rows manually, import a mapping, or learn one from poses.",
+                name=required_subject(context).name,
+                names=names,
             )
         write_table(context.scene.facemime_takes.bake, table)
         report(self, table.summary())

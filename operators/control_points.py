@@ -55,13 +55,15 @@ class SelectsPoints(OnMesh):
         )
         write_selection(mesh_of(obj), selection)
         worst = selection.steps[-1]
-        count, percent = len(selection.landmarks), f"{100 * worst.error:.2f}"
         report(
             self,
-            f"{count} control points, largest error {percent} % of the face's width at frame {worst.frame}"
+            "{count} control points, largest error {percent:.2f} % of the face's width at frame {frame}"
             if selection.reached
-            else f"{count} control points, largest error {percent} % of the face's width at frame {worst.frame}, "
+            else "{count} control points, largest error {percent:.2f} % of the face's width at frame {frame}, "
             "above the tolerance",
+            count=len(selection.landmarks),
+            percent=100 * worst.error,
+            frame=worst.frame,
         )
 
 

@@ -26,7 +26,7 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
         """Import the head."""
         obj = import_facegen(context, self.path, self.scale)
         keys = 0 if mesh_of(obj).shape_keys is None else len(keys_of(obj).key_blocks) - 1
-        report(self, f"{len(mesh_of(obj).vertices)} vertices, {keys} morphs")
+        report(self, "{vertices} vertices, {keys} morphs", vertices=len(mesh_of(obj).vertices), keys=keys)
 
 
 CLASSES = (FACEMIME_OT_import_facegen,)

@@ -24,7 +24,7 @@ class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
         """Write the file."""
         path = self.path_ending(SUFFIX)
         export_gltf(heads_in(context), path)
-        report(self, f"Written to {path}")
+        report(self, "Written to {path}", path=path)
 
 
 CLASSES = (FACEMIME_OT_export_gltf,)

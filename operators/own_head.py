@@ -130,7 +130,7 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
         _report_turn(self, head, before)
         if not bpy.app.background and context.window is not None:
             _turn_to_face(context)
-        report(self, f"{head.name} is driven by its shape keys alone.")
+        report(self, "{name} is driven by its shape keys alone.", name=head.name)
 
 
 class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.types.Operator):
@@ -213,7 +213,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         if not report_findings(self, context):
-            report(self, f"{required_subject(context).name} is ready to be driven")
+            report(self, "{name} is ready to be driven", name=required_subject(context).name)
         if not bpy.app.background and context.window is not None:
             bpy.ops.wm.call_panel("INVOKE_DEFAULT", name=_CHECK_PANEL, keep_open=True)
 
@@ -226,7 +226,7 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         count = open_lips(subject(context))
-        report(self, f"{count} edges cut between the lips, and a dark pocket added behind them")
+        report(self, "{count} edges cut between the lips, and a dark pocket added behind them", count=count)
         report_findings(self, context)
 
 
@@ -240,8 +240,9 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
         count = open_eyes(subject(context))
         report(
             self,
-            f"Cut along the lids of {count} eyes. If the cut misses the lids, undo it, mark the corners of the eyes, "
+            "Cut along the lids of {count} eyes. If the cut misses the lids, undo it, mark the corners of the eyes, "
             "and find the face again",
+            count=count,
         )
         report_findings(self, context)
 

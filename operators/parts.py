@@ -17,7 +17,7 @@ from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head, mesh_of
 from ..blender.names import HEAD_PROPERTY
 from ..blender.stubs import OperatorResult
-from ..core.errors import HeadError, SourceError
+from ..core.errors import HeadError, SourceError, messages
 from ..core.heads.parts import PART_NAMES, Part
 from ..core.keys.key_sets import KEY_SETS
 from ..core.takes.take import Take
@@ -26,17 +26,19 @@ from ..settings import takes_store
 from .shared import InObjectMode, OnHead, ReportsErrors, report, required_subject, subject
 from .steps import WorksInSteps, in_background
 
-_DESCRIPTIONS = {
-    Part.SKIN: "Skin of the face, which the landmarks move",
-    Part.ON_HEAD: "Rides on the head, such as hair, glasses and a hat",
-    Part.ON_SKIN: "Rides on the skin, such as lashes, brows and a beard",
-    Part.EYE_RIGHT: "The character's right eye, which follows the gaze",
-    Part.EYE_LEFT: "The character's left eye, which follows the gaze",
-    Part.TEETH_UPPER: "Upper teeth, which stay with the head",
-    Part.TEETH_LOWER: "Lower teeth and the tongue, which follow the jaw",
-}
+_DESCRIPTIONS = messages(
+    {
+        Part.SKIN: "Skin of the face, which the landmarks move",
+        Part.ON_HEAD: "Rides on the head, such as hair, glasses and a hat",
+        Part.ON_SKIN: "Rides on the skin, such as lashes, brows and a beard",
+        Part.EYE_RIGHT: "The character's right eye, which follows the gaze",
+        Part.EYE_LEFT: "The character's left eye, which follows the gaze",
+        Part.TEETH_UPPER: "Upper teeth, which stay with the head",
+        Part.TEETH_LOWER: "Lower teeth and the tongue, which follow the jaw",
+    }
+)
 _ITEMS = [(part.name, PART_NAMES[part], _DESCRIPTIONS[part]) for part in Part]
-BONES = {"head": "Head Bone", "eye_right": "Right Eye Bone", "eye_left": "Left Eye Bone"}
+BONES = messages({"head": "Head Bone", "eye_right": "Right Eye Bone", "eye_left": "Left Eye Bone"})
 """Labels of the bones that follow the pose."""
 _NO_BONE = "NONE"
 _bone_items: list[tuple[str, str, str]] = []
@@ -79,7 +81,7 @@ class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
         finally:
             if editing:
                 bpy.ops.object.mode_set(mode="EDIT")
-        report(self, f"{int(chosen.sum())} vertices changed")
+        report(self, "{chosen} vertices changed", chosen=int(chosen.sum()))
 
 
 class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
@@ -98,7 +100,7 @@ class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
         for obj in others:
             obj[HEAD_PROPERTY] = head
             set_part(obj, Part[self.part], np.ones(len(mesh_of(obj).vertices), dtype=bool))
-        report(self, f"{len(others)} meshes added")
+        report(self, "{others} meshes added", others=len(others))
 
 
 class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
@@ -161,7 +163,7 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         stored, bones = read_bones(head)
         armature = stored or armature_of(head)
         if armature is None:
-            raise HeadError(f"{head.name} has no armature. Parent it to one, or use an Armature modifier.")
+            raise HeadError("{name} has no armature. Parent it to one, or use an Armature modifier.", name=head.name)
         name = "" if self.bone == _NO_BONE else self.bone
         write_bones(head, armature, replace(bones, **{self.target: name}))
 

@@ -114,7 +114,7 @@ class PlacesPoints(ReportsErrors):
     def end(self, context: bpy.types.Context) -> OperatorResult:
         """Keep the placed points, if there are enough."""
         if self._placing.asked and not self._placing.enough:
-            report(self, f"Mark at least {MIN_MARKS} points, or press Esc to cancel", "WARNING")
+            report(self, "Mark at least {min_marks} points, or press Esc to cancel", "WARNING", min_marks=MIN_MARKS)
             return {"RUNNING_MODAL"}
         try:
             return self.reporting(lambda _: _keep(self._placing), context)

@@ -8,7 +8,7 @@ from ..blender.animation.puppet import check_heads, puppet_heads
 from ..blender.meshes import object_of
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw
-from ..core.errors import FacemimeError
+from ..core.errors import FacemimeError, Message
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
@@ -86,7 +86,9 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             except FacemimeError as error:
                 if not name:
                     raise
-                raise type(error)(f"{error} The tracked take is in the list as {name}.") from error
+                raise type(error)(
+                    Message("{error} The tracked take is in the list as {name}.", error=error, name=name)
+                ) from error
         finally:
             self.cancel(context)
 
@@ -113,7 +115,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             bake, *_ = puppet_heads(context.scene, _heads(context, head), take, driven, targets)
         lost = len(take) - int(take.found.sum())
         frames, summary = len(take), bake.summary()
-        report(self, f"{frames} frames ({lost} without a face), {summary}")
+        report(self, "{frames} frames ({lost} without a face), {summary}", frames=frames, lost=lost, summary=summary)
         lacks = take.info.get("recovered")
         for warning in (*([str(lacks)] if lacks else []), *bake.warnings):
             report(self, warning, "WARNING")

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
@@ -12,19 +13,19 @@ from ..blender.heads.family import character_in, heads_of, is_character
 from ..blender.meshes import can_be_driven, is_head, object_of
 from ..blender.messages import displayable
 from ..blender.stubs import OperatorMixin, OperatorResult, ReportLevel
-from ..core.errors import FacemimeError, SourceError
+from ..core.errors import FacemimeError, Message, SourceError
 from ..core.media.capture import check_readable, require_utf8_name
 from ..sessions.session import Session
 
 
-def report(operator: bpy.types.Operator, message: str, level: ReportLevel = "INFO") -> None:
-    """Report a message, translated.
+def report(operator: bpy.types.Operator, template: str, level: ReportLevel = "INFO", /, **values: Any) -> None:
+    """Report a message, translated; `template` and `values` are those of `Message`.
 
     Parameters
     ----------
     level : {"INFO", "WARNING", "ERROR"}
     """
-    operator.report({level}, displayable(message))
+    operator.report({level}, displayable(Message(template, **values)))
 
 
 @contextmanager
@@ -34,7 +35,12 @@ def reporting_range(operator: bpy.types.Operator, scene: bpy.types.Scene) -> Ite
     yield
     if before != (scene.frame_start, scene.frame_end):
         first, last = scene.frame_start, scene.frame_end
-        report(operator, f"The scene's frame range is now that of the take: frames {first} to {last}")
+        report(
+            operator,
+            "The scene's frame range is now that of the take: frames {first} to {last}",
+            first=first,
+            last=last,
+        )
 
 
 class ReportsErrors(OperatorMixin):

@@ -8,11 +8,12 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import EnumProperty, StringProperty
 
 from ..blender.animation.sampling import Sampling
-from ..core.errors import SourceError
+from ..core.errors import Message, SourceError
 from ..core.live.sources import PacedSource
 from ..core.recordings.reading import SUFFIXES as RECORDINGS
 from ..core.recordings.reading import read_recording
 from ..core.takes.file import SUFFIX, load_take, save_take
+from ..core.takes.from_video import VIDEO_CUT
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
@@ -83,14 +84,16 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
         if dropped := recording.dropped:
             report(
                 self,
-                f"{dropped} frames were skipped, as the video plays at its own rate. Track and Bake uses every frame",
+                "{dropped} frames were skipped, as the video plays at its own rate. Track and Bake uses every frame",
                 "WARNING",
+                dropped=dropped,
             )
         if recording.video_failed:
             report(
                 self,
-                f"The video of {recording.path.name} could not be written. Check that the disk is not full.",
+                "The video of {name} could not be written. Check that the disk is not full.",
                 "WARNING",
+                name=recording.path.name,
             )
 
 
@@ -151,9 +154,14 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
             except SourceError:
                 unreadable.append(path.name)
         folder = takes_store.folder()
-        report(self, f"{found} takes found in {folder}")
+        report(self, "{found} takes found in {folder}", found=found, folder=folder)
         if unreadable:
-            report(self, f"Files that cannot be read: {', '.join(unreadable)}. Delete or ignore them.", "WARNING")
+            report(
+                self,
+                "Files that cannot be read: {unreadable}. Delete or ignore them.",
+                "WARNING",
+                unreadable=", ".join(unreadable),
+            )
 
 
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
@@ -184,7 +192,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
         take = load_take(path)
         takes_store.add(context.scene, path, take)
         if warning := take.info.get("recovered"):
-            report(self, str(warning), "WARNING")
+            report(self, Message.read(warning, VIDEO_CUT), "WARNING")
 
 
 class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
@@ -214,7 +222,7 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
         if line.packed is None:
             takes_store.pack(line)
         else:
-            report(self, f"Written to {takes_store.unpack(line)}")
+            report(self, "Written to {path}", path=takes_store.unpack(line))
 
 
 class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
@@ -241,7 +249,7 @@ class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
         take = sampling.take()
         line = takes_store.keep(context.scene, take, head.name)
         count, name = len(take), line.name
-        report(self, f"{count} frames sampled as the take {name}")
+        report(self, "{count} frames sampled as the take {name}", count=count, name=name)
         _report_notes(self, take)
 
 

@@ -5,15 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from time import perf_counter
 
+from ..core.errors import messages
 from ..core.live.worker import LiveWorker
 
 COUNTDOWN = 3.0
 """Seconds between the request for a calibration, or by default for a recording, and its start."""
-_TASKS = {
-    False: "Look straight at the camera, with a relaxed face and the mouth closed",
-    True: "Close the eyes tightly, and open the mouth wide",
-    None: "Get ready: the recording starts. Esc cancels",
-}
+_TASKS = messages(
+    {
+        False: "Look straight at the camera, with a relaxed face and the mouth closed",
+        True: "Close the eyes tightly, and open the mouth wide",
+        None: "Get ready: the recording starts. Esc cancels",
+    }
+)
 """Instructions for the performer, by whether the range of eyes and mouth is calibrated; None is before a recording."""
 
 

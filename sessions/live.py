@@ -11,7 +11,7 @@ from ..blender.animation.live import LiveHeadObject, require_one_left
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.undo import push_undo
 from ..core.drive.driver import HeadFrame
-from ..core.errors import OutputError
+from ..core.errors import Message, OutputError
 from ..core.live.head_drivers import LiveHead
 from ..core.live.outputs import Output
 from ..core.live.sources import LiveSource
@@ -191,9 +191,9 @@ class LiveSession(Session):
             self.worker.recording_error = error
             self.warning = str(error)
         if self.worker.running:
-            self.warning = (
-                f"{self.worker.source.name} does not respond and was abandoned. If it stays blocked, unplug it or "
-                "restart Blender."
+            self.warning = Message(
+                "{name} does not respond and was abandoned. If it stays blocked, unplug it or restart Blender.",
+                name=self.worker.source.name,
             )
 
     def _restore(self, *, blocks: bool) -> None:

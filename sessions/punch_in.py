@@ -53,7 +53,9 @@ class PunchIn:
         self, scene: bpy.types.Scene, take: str, start: float, end: float, *, lead: float, blend: float
     ) -> None:
         if not end > start:
-            raise FacemimeError(f"The range from {start:.2f} s to {end:.2f} s is empty. Choose a later end.")
+            raise FacemimeError(
+                "The range from {start:.2f} s to {end:.2f} s is empty. Choose a later end.", start=start, end=end
+            )
         self._scene, self._take = scene.name, take
         self._start, self._end, self._blend = start, end, blend
         self._recording: Recording | None = None

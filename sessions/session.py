@@ -16,7 +16,7 @@ from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.overruled import overruled, unseen
 from ..blender.registering import watch
-from ..core.errors import HeadError
+from ..core.errors import HeadError, Message
 
 _INTERVAL = 0.02
 
@@ -175,8 +175,7 @@ def _clear_undone(*_: object) -> None:
     if goes_on:
         _resume()
     else:
-        warning = "The start of the puppet was undone, which stopped it"
-        session.warning = session.warning or warning
+        session.warning = session.warning or Message("The start of the puppet was undone, which stopped it")
         session.close(blocks=False)
 
 

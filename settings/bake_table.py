@@ -11,7 +11,9 @@ def read_table(bake: FacemimeBake) -> KeyMap:
     """Return the key mapping; raises FacemimeError if a row has no key."""
     for number, row in enumerate(bake.rows, start=1):
         if not row.key:
-            raise FacemimeError(f"Row {number} of the key mapping has no shape key. Choose one, or remove the row.")
+            raise FacemimeError(
+                "Row {number} of the key mapping has no shape key. Choose one, or remove the row.", number=number
+            )
     return table_so_far(bake)
 
 

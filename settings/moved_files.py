@@ -18,7 +18,7 @@ from typing import Any
 import bpy
 
 from ..blender.messages import show_error
-from ..core.errors import OutputError
+from ..core.errors import Message, OutputError
 from ..core.files.reading import as_object, as_text, parse_format, read_text
 from ..core.files.writing import reason_of, replacing
 from .preferences import preferences
@@ -81,8 +81,15 @@ def adopt_earlier_files() -> None:
 
 
 def _report(folder: Path, target: Path, error: Exception) -> None:
-    reason = reason_of(error) if isinstance(error, OSError) else str(error)
-    show_error(str(OutputError(f"The files in {folder} cannot be moved to {target} ({reason}). Move them yourself.")))
+    reason = reason_of(error) if isinstance(error, OSError) else error
+    show_error(
+        Message(
+            "The files in {folder} cannot be moved to {target} ({reason}). Move them yourself.",
+            folder=folder,
+            target=target,
+            reason=reason,
+        )
+    )
 
 
 def _adopt(earlier: Path, target: Path, *, listed: bool) -> None:

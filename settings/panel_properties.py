@@ -11,7 +11,7 @@ from bpy.props import (
 )
 
 from ..blender.heads.family import face_candidates, heads_of, leads_to_face
-from ..blender.messages import displayable
+from ..blender.messages import displayable, interface, translated
 from ..blender.placement import select_alone
 from ..blender.registering import watch
 from ..core.control_points.selection_settings import SelectionSettings
@@ -109,7 +109,8 @@ def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Fi
     memory.findings.clear()
     for finding in findings:
         line = memory.findings.add()
-        line.problem, line.remedy, line.step = finding.problem, finding.remedy, finding.step
+        line.problem, line.remedy = translated(finding.problem, interface), translated(finding.remedy, interface)
+        line.step = finding.step
 
 
 def list_landmarks(*_: object) -> None:

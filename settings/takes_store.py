@@ -87,7 +87,7 @@ def _require_listable(path: Path) -> None:
         (path.stem + relative(path)).encode()
     except UnicodeEncodeError as error:
         name = path.name.encode(errors="backslashreplace").decode()
-        raise MisnamedError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
+        raise MisnamedError("The name of {name} is not valid UTF-8. Rename it and try again.", name=name) from error
 
 
 def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
@@ -133,7 +133,9 @@ def read(line: FacemimeTake) -> Take:
         return _unpacked(line)
     path = located(line.path)
     if not os.path.isfile(path):
-        raise SourceError(f"The file of the take {line.name} is missing: {path}. Restore it, or import it again.")
+        raise SourceError(
+            "The file of the take {name} is missing: {path}. Restore it, or import it again.", name=line.name, path=path
+        )
     return _loaded(path, path.stat().st_mtime_ns)
 
 
@@ -215,6 +217,10 @@ def _unpacked(line: FacemimeTake) -> Take:
     try:
         return take_of(base64.b64decode(text.as_string()))
     except NewerFormatError as error:
-        raise SourceError(f"The packed take {line.name} was written by a newer Facemime. Update Facemime.") from error
+        raise SourceError(
+            "The packed take {name} was written by a newer Facemime. Update Facemime.", name=line.name
+        ) from error
     except (ValueError, binascii.Error) as error:
-        raise SourceError(f"The packed take {line.name} is damaged ({error}). Import it again.") from error
+        raise SourceError(
+            "The packed take {name} is damaged ({error}). Import it again.", name=line.name, error=error
+        ) from error

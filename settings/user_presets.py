@@ -8,7 +8,7 @@ import bpy
 
 from ..core.errors import OutputError
 from ..core.files.preset_files import SUFFIX, file_name, to_json
-from ..core.files.writing import replacing
+from ..core.files.writing import reason_of, replacing
 from ..core.puppet.built_in_presets import CONTENTS, read_preset
 from .properties import FacemimeSettings
 from .storage import presets_folder
@@ -90,8 +90,9 @@ def remove(name: str) -> None:
     try:
         path.unlink(missing_ok=True)
     except OSError as error:
-        reason = (error.strerror or str(error)).lower()
-        raise OutputError(f"Cannot remove {path}: {reason}. Remove it manually.") from error
+        raise OutputError(
+            "Cannot remove {path}: {reason}. Remove it manually.", path=path, reason=reason_of(error)
+        ) from error
 
 
 def _owners(settings: FacemimeSettings) -> dict[str, bpy.types.PropertyGroup]:

@@ -16,7 +16,7 @@ from ..blender.animation.targets import PoseTarget, own_targets
 from ..blender.timeline import keyed_frame
 from ..core.bake.bake_settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
-from ..core.errors import SourceError
+from ..core.errors import Message, SourceError
 from ..core.files.assets import ASSETS
 from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
@@ -148,18 +148,18 @@ def open_source(source: FacemimeSource) -> LiveSource:
     if source.kind == "SAMPLE":
         return VideoPlayer(SAMPLE, loop=loop, speed=speed)
     if source.kind == "VIDEO":
-        video = _chosen(source.video, "No video is selected. Select one under Source.")
+        video = _chosen(source.video, Message("No video is selected. Select one under Source."))
         return VideoPlayer(video, loop=loop, speed=speed)
     if source.kind == "PICTURES":
         return PicturePlayer(
-            _chosen(source.folder, "No folder of images is selected. Select one under Source."),
+            _chosen(source.folder, Message("No folder of images is selected. Select one under Source.")),
             rate=source.rate,
             loop=loop,
             speed=speed,
         )
     if source.kind == "STREAM":
         return StreamSource(stream_settings(source.stream))
-    path = _chosen(source.take, "No take is selected. Select one under Source.")
+    path = _chosen(source.take, Message("No take is selected. Select one under Source."))
     return TakePlayer(load_take(path), path.name, loop=loop, speed=speed)
 
 
@@ -187,7 +187,8 @@ def _camera() -> Camera:
 def _require_online(device: str) -> None:
     if not bpy.app.online_access:
         raise SourceError(
-            f"Cannot open {device}: online access is turned off. Enable Allow Online Access in Preferences > System."
+            "Cannot open {device}: online access is turned off. Enable Allow Online Access in Preferences > System.",
+            device=device,
         )
 
 
@@ -298,7 +299,7 @@ def _key(path: str) -> Path | None:
     return Path(bpy.path.abspath(path)) if path else None
 
 
-def _chosen(path: str, message: str) -> Path:
+def _chosen(path: str, message: Message) -> Path:
     if not path:
         raise SourceError(message)
     return Path(bpy.path.abspath(path))

@@ -11,10 +11,10 @@ from ..blender.meshes import is_head, mesh_of, read_selection
 from ..blender.messages import CONTEXT, translated
 from ..blender.messages import interface as _
 from ..blender.names import SELECTION_PROPERTY
-from ..core.control_points.greedy import GreedySelection
+from ..core.control_points.greedy import WAS_OFF, GreedySelection
 from ..core.control_points.select import from_json
 from ..core.control_points.table import PointRow, draw_curve, point_rows
-from ..core.errors import FacemimeError
+from ..core.errors import FacemimeError, Message
 from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.regions import REGIONS
 from ..operators.shared import required_subject, subject
@@ -113,7 +113,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
             layout.operator("facemime.use_all_landmarks")
         _draw_list(layout, context, steps)
         if 0 <= steps.landmark < len(rows := shown_rows(required_subject(context))) and rows[steps.landmark].reason:
-            reasons = rows[steps.landmark].reason.split("; ")
+            reasons = (Message.read(reason, WAS_OFF) for reason in rows[steps.landmark].reason.split("; "))
             labels(layout, context, "; ".join(translated(reason, _) for reason in reasons), "INFO")
 
 

@@ -6,12 +6,13 @@ from ..blender.characters import objects_of, part_table, pointed_to, read_bones
 from ..blender.meshes import can_be_driven, is_head
 from ..blender.messages import CONTEXT
 from ..blender.names import HEAD_PROPERTY, PART_OBJECTS, PART_PROPERTY
+from ..core.errors import messages
 from ..core.heads.parts import PART_NAMES, Part
 from ..operators.parts import BONES
 from ..operators.shared import subject
 from .sidebar import Sidebar, draw_findings, labels
 
-_OWN_PARTS = {"tongue": "Tongue", "lashes": "Lashes", "hair": "Hair"}
+_OWN_PARTS = messages({"tongue": "Tongue", "lashes": "Lashes", "hair": "Hair"})
 """Parts that only built-in heads have."""
 _NAMES = 0.5
 """Share of the width for the names of objects and bones."""

@@ -66,7 +66,7 @@ def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, ic
     Parameters
     ----------
     text : str
-        In English; messages of `core` are translated by their templates.
+        In English; a message is translated by its template.
     """
     column = layout.column(align=True)
     column.scale_y = 0.9

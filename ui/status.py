@@ -6,20 +6,23 @@ import bpy
 
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
+from ..core.errors import messages
 from ..core.streams.source import StreamSource
 from ..core.tracking.hidden_mouth import is_hidden
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
 
-_STAGES = {
-    "wait": "the source",
-    "track": "tracking",
-    "drive": "deformation",
-    "hand over": "the viewport",
-    "redraw": "the viewport",
-    "write": "writing to the mesh",
-}
+_STAGES = messages(
+    {
+        "wait": "the source",
+        "track": "tracking",
+        "drive": "deformation",
+        "hand over": "the viewport",
+        "redraw": "the viewport",
+        "write": "writing to the mesh",
+    }
+)
 
 
 def draw_progress(layout: bpy.types.UILayout, session: TrackingSession) -> None:

@@ -7,6 +7,7 @@ import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.key_map import KeyMap, best_preset, presets
+from ...core.errors import Message
 from ...core.face.coefficient_names import COEFFICIENTS
 from ...core.heads.looks import LOOKS
 from ...core.numeric.arrays import FloatArray
@@ -59,8 +60,8 @@ class AnimatedKeys:
         values = np.array(self._rows)[seen]
         if limited := [name for name, column in zip(self._names, values.T, strict=True) if column.max() > _MOST]:
             names = ", ".join(limited)
-            warning = f"Coefficients are at most 1, to which these keys were limited: {names}."
-            take.info["notes"] = [*take.info.get("notes", []), warning]
+            note = Message("Coefficients are at most 1, to which these keys were limited: {names}.", names=names)
+            take.info["notes"] = [*take.info.get("notes", []), note]
         solved = arkit_coefficients(take, calibrate(take))
         if not np.isfinite(take.gaze[seen]).all():
             solved[:, LOOKS] = 0.0

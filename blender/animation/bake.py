@@ -52,8 +52,9 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
     for owner in {target.obj for target in _all_targets(obj, targets)}:
         if owner.library is not None:
             raise HeadError(
-                f"{owner.name} is linked from another file and cannot be animated here. Make a library override of it "
-                "(Object > Library Override > Make), or make it local."
+                "{name} is linked from another file and cannot be animated here. Make a library override of it "
+                "(Object > Library Override > Make), or make it local.",
+                name=owner.name,
             )
     for member in members_of(obj):
         _check_keys(member.obj, new=new_keys, old=old_keys)
@@ -65,15 +66,17 @@ def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
     mesh = mesh_of(obj)
     if new and (mesh.library is not None or mesh.override_library is not None):
         raise HeadError(
-            f"The mesh of {obj.name} is linked from another file, so shape keys cannot be added. "
-            "Bake to a cache or to existing shape keys, or make it local."
+            "The mesh of {name} is linked from another file, so shape keys cannot be added. "
+            "Bake to a cache or to existing shape keys, or make it local.",
+            name=obj.name,
         )
     if new:
         require_relative(obj)
     if old and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
         raise HeadError(
-            f"The shape keys of {obj.name} are linked from another file and cannot be animated here. "
-            "Bake to a cache, or make them local."
+            "The shape keys of {name} are linked from another file and cannot be animated here. "
+            "Bake to a cache, or make them local.",
+            name=obj.name,
         )
 
 
@@ -92,8 +95,10 @@ def check_range(take: Take, frames: NDArray[np.floating[Any]]) -> None:
     """
     if max(-frames[0], frames[-1]) > _LAST_FRAME:
         raise SourceError(
-            f"The take extends from {take.times[0]:.2f} s to {take.times[-1]:.2f} s, beyond Blender's last frame. "
-            "Check that the times are in seconds. To shift a take: facemime mend TAKE --shift SECONDS -o OUT"
+            "The take extends from {start:.2f} s to {end:.2f} s, beyond Blender's last frame. "
+            "Check that the times are in seconds. To shift a take: facemime mend TAKE --shift SECONDS -o OUT",
+            start=take.times[0],
+            end=take.times[-1],
         )
 
 

@@ -125,7 +125,11 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
     vertices = sum(len(mesh_of(part).vertices) for part in objects if part.type == "MESH")
     needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
     if shutil.disk_usage(path.parent).free < needed:  # Blender crashes when the disk is full
-        raise OutputError(f"Cannot write {path}: up to {needed / 1e6:.0f} MB are needed. Free some disk space.")
+        raise OutputError(
+            "Cannot write {path}: up to {needed:.0f} MB are needed. Free some disk space.",
+            path=path,
+            needed=needed / 1e6,
+        )
     with replacing(path) as temporary, selected_for_export(objects):
         try:
             with quiet():
@@ -139,6 +143,10 @@ def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], 
                     as_background_job=False,
                 )
         except RuntimeError as error:
-            raise OutputError(f"Blender could not write {path} ({error}). Choose another location.") from error
+            raise OutputError(
+                "Blender could not write {path} ({error}). Choose another location.", path=path, error=error
+            ) from error
         if temporary.stat().st_size == 0:
-            raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another location.")
+            raise OutputError(
+                "Blender could not write {path}. Free some disk space, or choose another location.", path=path
+            )

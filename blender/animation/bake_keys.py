@@ -112,7 +112,8 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
     }
     if not blocks:
         raise HeadError(
-            f"{head.name} has no shape keys. Bake to new shape keys, or add the built-in head with ARKit shape keys."
+            "{name} has no shape keys. Bake to new shape keys, or add the built-in head with ARKit shape keys.",
+            name=head.name,
         )
     offsets = np.zeros((len(blocks), members[-1].part.stop, 3), dtype=np.float32)
     for row, found in zip(offsets, blocks.values(), strict=True):
@@ -131,7 +132,7 @@ def require_relative(obj: bpy.types.Object) -> None:
     """Raise HeadError if the shape keys of `obj` are absolute and therefore have no values."""
     keys = mesh_of(obj).shape_keys
     if keys is not None and not keys.use_relative:
-        raise HeadError(f"The shape keys of {obj.name} are absolute. Enable Relative, or bake to a cache.")
+        raise HeadError("The shape keys of {name} are absolute. Enable Relative, or bake to a cache.", name=obj.name)
 
 
 def value_path(name: str) -> str:

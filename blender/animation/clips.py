@@ -85,10 +85,9 @@ def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> N
         If there is no such clip.
     """
     if name not in clips:
-        known = ", ".join(clips)
-        raise HeadError(
-            f"There is no clip {name}. Choose one of: {known}." if known else f"There is no clip {name}, nor any other."
-        )
+        if not clips:
+            raise HeadError("There is no clip {name}, nor any other.", name=name)
+        raise HeadError("There is no clip {name}. Choose one of: {known}.", name=name, known=", ".join(clips))
     for owner in owners:
         if (data := owner.animation_data) is not None:
             data.action = None

@@ -36,7 +36,9 @@ def selected_for_export(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
         _select(objects, objects[0])
         if missing := [obj.name for obj in objects if not obj.select_get()]:
             names = ", ".join(missing)
-            raise OutputError(f"These objects cannot be exported: {names}. Show them and make them selectable.")
+            raise OutputError(
+                "These objects cannot be exported: {names}. Show them and make them selectable.", names=names
+            )
         yield
 
 

@@ -40,7 +40,9 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
     chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
     for obj in chosen:
         if any(modifier.type in CACHES for modifier in obj.modifiers):
-            raise HeadError(f"The motion of {obj.name} is in a cache, which glTF cannot store. Bake to shape keys.")
+            raise HeadError(
+                "The motion of {name} is in a cache, which glTF cannot store. Bake to shape keys.", name=obj.name
+            )
     if "gltf" not in dir(bpy.ops.export_scene):
         raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
     with selected_for_export(chosen), keys_as_shown(chosen), saved_by_blender(path, _is_complete) as temporary:

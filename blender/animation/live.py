@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadFrame
-from ...core.errors import HeadError
+from ...core.errors import HeadError, messages
 from ..characters import Member, members_of
 from ..contexts import scene_of
 from ..meshes import exists, keys_of, mesh_of
@@ -29,7 +29,7 @@ FlatMeshes = Sequence[NDArray[np.float32]]
 """Arrays for `foreach_set`, one for each mesh of a head."""
 _DELTAS = ("delta_location", "delta_rotation")
 """Prefixes of the data paths of the channels that pose an object."""
-_TARGET_LABELS = {"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"}
+_TARGET_LABELS = messages({"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"})
 """Labels of the fields in which targets are chosen."""
 
 
@@ -194,10 +194,10 @@ class LiveHeadObject:
             shown.require_same()
         for name, target in self.targets.items():
             if not target.exists:
-                label = _TARGET_LABELS[name]
                 raise HeadError(
-                    f"The object or bone chosen as {label} was deleted. Choose another one in Puppet > "
-                    "Head and Eyes, or clear that field, and start again."
+                    "The object or bone chosen as {label} was deleted. Choose another one in Puppet > "
+                    "Head and Eyes, or clear that field, and start again.",
+                    label=_TARGET_LABELS[name],
                 )
         if len(frame.keys) == len(self.keys):  # otherwise it was computed before the way of driving was changed
             for shown, positions in zip(self._meshes, self.prepare(frame) if flat is None else flat, strict=True):

@@ -31,7 +31,9 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
         If keys were requested but the head has none, or no mapping matches them.
     """
     if driven_by_keys(obj) and choice == SKIN:
-        raise HeadError(f"{obj.name} is bound by its shape keys alone. Drive it by its keys, or find its face.")
+        raise HeadError(
+            "{name} is bound by its shape keys alone. Drive it by its keys, or find its face.", name=obj.name
+        )
     if driven_by_keys(obj):
         choice = KEYS
     if choice == SKIN or (choice == AUTOMATIC and not has_known_set(obj)):

@@ -47,8 +47,9 @@ class LiveMesh:
         mesh = mesh_of(self.obj)
         if mesh.library is not None or self.obj.library is not None:
             raise HeadError(
-                f"{self.obj.name} is linked from another file and cannot be moved here. "
-                "Make it local: Object > Relations > Make Local."
+                "{name} is linked from another file and cannot be moved here. "
+                "Make it local: Object > Relations > Make Local.",
+                name=self.obj.name,
             )
         require_relative(self.obj)
         self._name: str = self.obj.name
@@ -268,5 +269,5 @@ def _object_of(mesh: bpy.types.Mesh, obj: bpy.types.Object | None) -> Iterator[b
 def changed(name: str) -> HeadError:
     """Return the error for a mesh that can no longer be driven."""
     return HeadError(
-        f"The mesh of {name} has changed. Undo that change, or find the face again; then restart the puppet."
+        "The mesh of {name} has changed. Undo that change, or find the face again; then restart the puppet.", name=name
     )

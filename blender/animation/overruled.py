@@ -6,6 +6,7 @@ from collections.abc import Iterable
 
 import bpy
 
+from ...core.errors import Message
 from ..armatures import armature_data
 from .targets import PoseTarget
 
@@ -27,13 +28,15 @@ def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: boo
     """
     targets = list(targets)
     resting = dict.fromkeys(target.obj for target in targets if target.bone and _rests(target.obj))
-    warnings = []
+    warnings: list[str] = []
     for armature in resting:
-        warning = (
-            f"{armature.name} is in Rest Position, which hides the pose of its bones. Set it to Pose Position in the "
-            "Armature tab."
+        warnings.append(
+            Message(
+                "{name} is in Rest Position, which hides the pose of its bones. Set it to Pose Position in the "
+                "Armature tab.",
+                name=armature.name,
+            )
         )
-        warnings.append(warning)
     kinds = (_ROTATIONS if rotation else set()) | (_LOCATIONS if translation else set())
     found = dict.fromkeys(
         f"{target.owner.name} ({constraint.name})"
@@ -43,8 +46,7 @@ def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: boo
     )
     if found:
         names = ", ".join(found)
-        warning = f"Constraints override the pose: {names}. Mute them to show it."
-        warnings.append(warning)
+        warnings.append(Message("Constraints override the pose: {names}. Mute them to show it.", names=names))
     return warnings
 
 
@@ -53,8 +55,11 @@ def unseen(heads: Iterable[bpy.types.Object]) -> list[str]:
     names = ", ".join(head.name for head in heads if not head.visible_get())
     if not names:
         return []
-    warning = f"Hidden: {names}. Show it, or enable its collection, in the Outliner to see the animation."
-    return [warning]
+    return [
+        Message(
+            "Hidden: {names}. Show it, or enable its collection, in the Outliner to see the animation.", names=names
+        )
+    ]
 
 
 def _rests(armature: bpy.types.Object) -> bool:

@@ -15,7 +15,7 @@ from ...core.bake.fit import fit_keys, mix_errors
 from ...core.bake.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
 from ...core.bake.point_cache import SUFFIX
 from ...core.drive.motion import HeadMotion, drive_take
-from ...core.errors import HeadError, OutputError
+from ...core.errors import HeadError, Message, OutputError
 from ...core.heads.rig import HeadRig
 from ...core.numeric.arrays import FloatArray
 from ...core.puppet.performance import Performance
@@ -85,23 +85,26 @@ class PuppetReport:
         warnings = [self.neutral.warning] if self.neutral.warning else []
         if self.others:
             names = ", ".join(self.others)
-            warning = f"Other animation moves the shape keys too: {names}. Mute it in Takes > Bake."
-            warnings.append(warning)
+            warnings.append(
+                Message("Other animation moves the shape keys too: {names}. Mute it in Takes > Bake.", names=names)
+            )
         return [*warnings, *self.notes]
 
     def summary(self) -> str:
         """Return the number of shape keys and the error as text."""
         if not self.keys:
-            return "exact for every vertex"
+            return Message("exact for every vertex")
         if np.isnan(self.worst_error):
-            return f"{self.keys} shape keys"
+            return Message("{keys} shape keys", keys=self.keys)
         keys, error = self.keys, f"{100 * self.worst_error:.2g}"
         if self.worst_error > _POOR:
-            return (
-                f"{keys} shape keys, which cannot reproduce all of the motion: "
-                f"largest error {error} % of the eye distance"
+            return Message(
+                "{keys} shape keys, which cannot reproduce all of the motion: "
+                "largest error {error} % of the eye distance",
+                keys=keys,
+                error=error,
             )
-        return f"{keys} shape keys, largest error {error} % of the eye distance"
+        return Message("{keys} shape keys, largest error {error} % of the eye distance", keys=keys, error=error)
 
 
 def puppet_head(
@@ -163,8 +166,7 @@ def _what_was_muted(silenced: Sequence[Silenced]) -> str:
     if not silenced:
         return ""
     names = name_them(silenced)
-    warning = f"Muted, as the take moves the same: {names}. Use Keep Animation to add the take to it."
-    return warning
+    return Message("Muted, as the take moves the same: {names}. Use Keep Animation to add the take to it.", names=names)
 
 
 def puppet_heads(
@@ -226,7 +228,8 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
     """Return the rig of a head; raises HeadError if it cannot be driven or baked to."""
     if driven_by_keys(obj) and bake.keys != "mapped":
         raise HeadError(
-            f"{obj.name} is bound by its shape keys alone. Bake to existing shape keys by a mapping, or find its face."
+            "{name} is bound by its shape keys alone. Bake to existing shape keys by a mapping, or find its face.",
+            name=obj.name,
         )
     check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.uses_existing_keys)
     return read_rig(obj)
@@ -275,7 +278,8 @@ def _mapped(
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
     if not values:
         raise HeadError(
-            f"All shape keys of {obj.name} in the key mapping are muted. Unmute them, or bake to something else."
+            "All shape keys of {name} in the key mapping are muted. Unmute them, or bake to something else.",
+            name=obj.name,
         )
     keys = keys.chosen(list(values))
     weights = np.column_stack(list(values.values()))
@@ -312,13 +316,16 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
         return next(known for known in presets() if known.name == preset.name).matched(names)
     if table is None:
         raise HeadError(
-            f"No key mapping preset matches the shape keys of {obj.name}. "
-            "Use your own mapping, or bake to new or existing shape keys without a mapping."
+            "No key mapping preset matches the shape keys of {name}. "
+            "Use your own mapping, or bake to new or existing shape keys without a mapping.",
+            name=obj.name,
         )
     if not (matched := table.matched(names)).rows:
         raise HeadError(
-            f"The key mapping {table.name} matches none of the shape keys of {obj.name}. "
-            "Use another mapping, or bake to new or existing shape keys without a mapping."
+            "The key mapping {mapping} matches none of the shape keys of {name}. "
+            "Use another mapping, or bake to new or existing shape keys without a mapping.",
+            mapping=table.name,
+            name=obj.name,
         )
     return matched
 

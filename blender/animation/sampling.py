@@ -103,7 +103,10 @@ class Sampling:
         if self._tracker is None or not (self._moves or self._keys.moved):
             first, last = self.frames[0], self.frames[-1]
             raise HeadError(
-                f"{self._head.name} does not move from frame {first} to {last}. Animate it, or change the frame range."
+                "{name} does not move from frame {first} to {last}. Animate it, or change the frame range.",
+                name=self._head.name,
+                first=first,
+                last=last,
             )
         take = self._tracker.finish(self._recorder)
         self._keys.state(take)
@@ -197,7 +200,7 @@ def _evaluated(obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> tuple[F
     """Return the vertices of an object after its modifiers, head frame, and its (4, 4) transform."""
     final = obj.evaluated_get(depsgraph)
     if len(mesh_of(final).vertices) != len(mesh_of(obj).vertices):
-        raise HeadError(f"Modifiers of {obj.name} change the number of its vertices. Hide or apply them.")
+        raise HeadError("Modifiers of {name} change the number of its vertices. Hide or apply them.", name=obj.name)
     flat = np.empty(3 * len(mesh_of(final).vertices), dtype=np.float32)
     mesh_of(final).vertices.foreach_get("co", flat)
     return from_blender(flat.reshape(-1, 3)).astype(np.float64), np.array(final.matrix_world)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.bake_settings import CURRENT_FRAME, SCENE_START
+from ...core.errors import Message
 from ..media.sound import is_of_take, strips_of
 from ..muting import others_playing
 from ..names import RANGE_PROPERTY
@@ -59,11 +60,14 @@ def outside_range(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]]) -> 
     start, end = scene.frame_start, scene.frame_end
     if start <= first and last <= end:
         return ""
-    warning = (
-        f"The take plays from frame {first} to {last}, and the scene from {start} to {end}. "
-        "Choose where the take starts, or fit the frame range to it."
+    return Message(
+        "The take plays from frame {first} to {last}, and the scene from {start} to {end}. "
+        "Choose where the take starts, or fit the frame range to it.",
+        first=first,
+        last=last,
+        start=start,
+        end=end,
     )
-    return warning
 
 
 @contextmanager

@@ -111,9 +111,13 @@ class PoseTarget:
             If an armature does not have that bone.
         """
         if obj.type == "ARMATURE" and not bone:
-            raise HeadError(f"No bone of the armature {obj.name} is selected. Choose the bone that follows the pose.")
+            raise HeadError(
+                "No bone of the armature {name} is selected. Choose the bone that follows the pose.", name=obj.name
+            )
         if obj.type == "ARMATURE" and bone not in posed_bones(obj):
-            raise HeadError(f"The armature {obj.name} has no bone {bone}. Choose one of its bones.")
+            raise HeadError(
+                "The armature {name} has no bone {bone}. Choose one of its bones.", name=obj.name, bone=bone
+            )
         return cls(obj, bone if obj.type == "ARMATURE" else "", head)
 
     @property

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.binding.bind import Binding, bind_landmarks
 from ...core.binding.eye_contours import lids_seen
-from ...core.errors import HeadError
+from ...core.errors import HeadError, Message
 from ...core.face.landmarks import from_ibug
 from ...core.heads.checks import Finding, check_head
 from ...core.heads.eye_outline import EYES
@@ -140,7 +140,9 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     except HeadError as error:
         if names := ", ".join(generating_modifiers(obj)):
             raise HeadError(
-                f"No face was found on {obj.name} without its modifiers: {names}. Apply them, and find the face again."
+                "No face was found on {name} without its modifiers: {names}. Apply them, and find the face again.",
+                name=obj.name,
+                names=names,
             ) from error
         raise
     upright = along if _is_small(binding.rotation) else binding.rotation @ along
@@ -236,13 +238,13 @@ def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:
     """
     mesh = mesh_of(obj)
     if not can_be_driven(obj):
-        return [("This mesh has no landmarks yet", "facemime.bind_landmarks")]
+        return [(Message("This mesh has no landmarks yet"), "facemime.bind_landmarks")]
     if (bound_at := stored_integers(mesh, COUNT_PROPERTY)) is not None and not np.array_equal(
         bound_at, len(mesh.vertices)
     ):
-        return [("The vertex count has changed since the face was found", "facemime.bind_landmarks")]
+        return [(Message("The vertex count has changed since the face was found"), "facemime.bind_landmarks")]
     if not driven_by_keys(obj) and any(name not in obj.vertex_groups for name in REGION_GROUPS):
-        return [("This mesh has no regions yet", "facemime.propose_regions")]
+        return [(Message("This mesh has no regions yet"), "facemime.propose_regions")]
     return []
 
 
@@ -274,7 +276,9 @@ def selected_vertex(obj: bpy.types.Object) -> int:
     selected = np.empty(len(mesh_of(obj).vertices), dtype=bool)
     mesh_of(obj).vertices.foreach_get("select", selected)
     if selected.sum() != 1:
-        raise HeadError(f"{int(selected.sum())} vertices are selected. Select a single one in Edit Mode.")
+        raise HeadError(
+            "{selected} vertices are selected. Select a single one in Edit Mode.", selected=int(selected.sum())
+        )
     return int(np.flatnonzero(selected)[0])
 
 
@@ -344,7 +348,9 @@ def turn_note(head: bpy.types.Object, before: Mapping[bpy.types.Object, Matrix])
     """Say that `head` was rotated since its world matrix was as in `before`; "" if it was not."""
     if before.get(head) in (None, head.matrix_world):
         return ""
-    return f"{head.name}: the vertices now face -Y, and the object is rotated instead; it looks the same"
+    return Message(
+        "{name}: the vertices now face -Y, and the object is rotated instead; it looks the same", name=head.name
+    )
 
 
 def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> None:
@@ -363,16 +369,19 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> Non
     """
     if any(modifier.type in CACHES for modifier in obj.modifiers):
         raise HeadError(
-            f"The vertices of {obj.name} come from a file, so they cannot be rotated to face -Y. Export it facing -Y."
+            "The vertices of {name} come from a file, so they cannot be rotated to face -Y. Export it facing -Y.",
+            name=obj.name,
         )
     if mesh_of(obj).users > 1:
         raise HeadError(
-            f"The mesh of {obj.name} has to be rotated to face -Y, but other objects share it. Make it single-user."
+            "The mesh of {name} has to be rotated to face -Y, but other objects share it. Make it single-user.",
+            name=obj.name,
         )
     if animated_paths(obj, _ROTATIONS) or any(not constraint.mute for constraint in obj.constraints):
         raise HeadError(
-            f"The mesh of {obj.name} has to be rotated to face -Y, but the object's rotation is animated or "
-            "constrained. Remove the animation or the constraint first."
+            "The mesh of {name} has to be rotated to face -Y, but the object's rotation is animated or "
+            "constrained. Remove the animation or the constraint first.",
+            name=obj.name,
         )
     turn = Matrix(rotation.tolist()).to_4x4()
     mesh_of(obj).transform(turn, shape_keys=True)

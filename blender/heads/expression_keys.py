@@ -61,8 +61,13 @@ class MadeKeys:
     def summary(self) -> str:
         """Return the numbers of keys as text."""
         if self.takes:
-            return f"{self.added} shape keys added, {len(self.kept)} kept; takes that refined them: {self.takes}"
-        return f"{self.added} shape keys added, {len(self.kept)} kept"
+            return Message(
+                "{added} shape keys added, {kept} kept; takes that refined them: {takes}",
+                added=self.added,
+                kept=len(self.kept),
+                takes=self.takes,
+            )
+        return Message("{added} shape keys added, {kept} kept", added=self.added, kept=len(self.kept))
 
     @property
     def findings(self) -> list[Message]:
@@ -107,7 +112,7 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
     for part in (*(member.obj for member in members), *attached):
         require_own(mesh_of(part))
         if (found := mesh_of(part).shape_keys) is not None and not found.use_relative:
-            raise HeadError(f"The shape keys of {part.name} are absolute. Enable Relative first.")
+            raise HeadError("The shape keys of {name} are absolute. Enable Relative first.", name=part.name)
     rig = read_rig(obj)
     shown = [take for take in takes if take.found.any()] if set(keys.names) <= set(COEFFICIENT_INDEX) else []
     refining = _REFINING if shown else 0.0

@@ -34,7 +34,7 @@ def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIM
         If a file is damaged or not a FaceGen head.
     """
     if path.suffix.lower() not in _READERS:
-        raise SourceError(f"{path} is not a FaceGen head. Choose a .tri or .obj file.")
+        raise SourceError("{path} is not a FaceGen head. Choose a .tri or .obj file.", path=path)
     head = _READERS[path.suffix.lower()](path)
     modes = next((read_egm(file, head) for file in _beside(path)), ())
     mesh = _mesh(path.stem, head, scale)

@@ -174,11 +174,11 @@ def require_character(obj: bpy.types.Object | None) -> bpy.types.Object:
         raise HeadError("No character is selected. Select one, or add a head with Add > Mesh > Facemime Head.")
     if obj.type == "EMPTY" and obj.instance_collection is not None:
         raise HeadError(
-            f"{obj.name} is an instance of a collection. Make its objects real first: Object > Apply > Make "
-            "Instances Real."
+            "{name} is an instance of a collection. Make its objects real first: Object > Apply > Make Instances Real.",
+            name=obj.name,
         )
     if not family_of(obj):
-        raise HeadError(f"{obj.name} belongs to no mesh. Select a character, or add a head.")
+        raise HeadError("{name} belongs to no mesh. Select a character, or add a head.", name=obj.name)
     return obj
 
 

@@ -59,7 +59,7 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     sets = {member: found for member in family if (found := known_set(member)) is not None}
     if not sets:
         raise HeadError(
-            f"No mesh of {obj.name} has shape keys of a known set. Find its face instead, or add such keys."
+            "No mesh of {name} has shape keys of a known set. Find its face instead, or add such keys.", name=obj.name
         )
     head = max(sets, key=lambda member: len(sets[member].keys))
     table = sets[head]

@@ -52,7 +52,7 @@ def landmark_places(
     evaluated = obj.evaluated_get(depsgraph)
     vertices = mesh_of(evaluated).vertices
     if len(vertices) < len(mesh_of(obj).vertices):
-        raise HeadError(f"A modifier of {obj.name} removes vertices. Disable it to show the landmarks.")
+        raise HeadError("A modifier of {name} removes vertices. Disable it to show the landmarks.", name=obj.name)
     seen = [vertices[i] for i in landmarks.tolist()]
     world = np.array(evaluated.matrix_world)
     places = np.array([vertex.co for vertex in seen]) @ world[:3, :3].T + world[:3, 3]

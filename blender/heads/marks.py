@@ -41,13 +41,22 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
     count = len(mesh_of(obj).vertices)
     for number, vertex in chosen.items():
         if not 0 <= vertex < count:
-            raise HeadError(f"Point {number} cannot be vertex {vertex}: {obj.name} has {count} vertices, from 0.")
+            raise HeadError(
+                "Point {number} cannot be vertex {vertex}: {name} has {count} vertices, from 0.",
+                number=number,
+                vertex=vertex,
+                name=obj.name,
+                count=count,
+            )
     away = _distances(obj, positions)
     size = float(np.linalg.norm(np.ptp(_in_scene(obj), axis=0)))
     for number, distances in zip(positions, away, strict=True):
         if distances.min() > _REACH * size:
             raise HeadError(
-                f"Point {number} is {distances.min():.3g} m away from {obj.name}. Use Blender's coordinates, with Z up."
+                "Point {number} is {distance:.3g} m away from {name}. Use Blender's coordinates, with Z up.",
+                number=number,
+                distance=distances.min(),
+                name=obj.name,
             )
         chosen[number] = int(distances.argmin())
     write_marks(mesh_of(obj), chosen)

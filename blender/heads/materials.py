@@ -109,7 +109,7 @@ def _image(picture: str) -> bpy.types.Image:
     """Load an image, packed so that a saved file does not need the extension."""
     path = TEXTURES / picture
     if not path.is_file():
-        raise ModelError(f"The texture {path} is missing. Reinstall Facemime.")
+        raise ModelError("The texture {path} is missing. Reinstall Facemime.", path=path)
     name = f"Facemime {path.stem.title()}"
     image = bpy.data.images.get(name)
     if image is None or tuple(image.size) == (0, 0):

@@ -30,7 +30,7 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
     """
     require_own(mesh_of(obj))
     if not obj.visible_get():
-        raise HeadError(f"{obj.name} is hidden. Show it first.")
+        raise HeadError("{name} is hidden. Show it first.", name=obj.name)
     name = REGION_GROUPS[region]
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
     obj.vertex_groups.active_index = group.index

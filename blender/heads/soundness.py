@@ -45,8 +45,10 @@ def require_sound(obj: bpy.types.Object) -> None:
     for modifier in mirrors:
         if _is_half(obj, modifier):
             raise HeadError(
-                f"{obj.name} is one half of a head, and its modifier {modifier.name} shows the other. "
-                "Apply the modifier, and find the face again."
+                "{name} is one half of a head, and its modifier {modifier} shows the other. "
+                "Apply the modifier, and find the face again.",
+                name=obj.name,
+                modifier=modifier.name,
             )
 
 
@@ -75,16 +77,20 @@ def _require_finite(obj: bpy.types.Object) -> None:
         _select(mesh_of(obj), bad)
         numbers = ", ".join(map(str, np.flatnonzero(bad)[:_NAMED])) + (", ..." if bad.sum() > _NAMED else "")
         raise HeadError(
-            f"{obj.name} has vertices whose positions are infinite or not numbers: {numbers}. "
-            "Delete them in Edit Mode, where they are selected, and find the face again."
+            "{name} has vertices whose positions are infinite or not numbers: {numbers}. "
+            "Delete them in Edit Mode, where they are selected, and find the face again.",
+            name=obj.name,
+            numbers=numbers,
         )
     for key in keys_of(obj).key_blocks if mesh_of(obj).shape_keys is not None else ():
         flat = np.empty(3 * len(key.points), dtype=np.float32)
         key.points.foreach_get("co", flat)
         if _infinite(flat.reshape(-1, 3)).any():
             raise HeadError(
-                f"The shape key {key.name} of {obj.name} has positions that are infinite or not numbers. "
-                "Delete the key, and find the face again."
+                "The shape key {key} of {name} has positions that are infinite or not numbers. "
+                "Delete the key, and find the face again.",
+                key=key.name,
+                name=obj.name,
             )
 
 

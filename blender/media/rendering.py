@@ -163,14 +163,16 @@ def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
         for i, image in enumerate(images):
             names.append(f"{i:06d}.jpg")
             if not cv2.imwrite(str(folder / names[-1]), image, (cv2.IMWRITE_JPEG_QUALITY, 97)):
-                raise OutputError(f"Cannot write images to {folder}. Free some disk space.")
+                raise OutputError("Cannot write images to {folder}. Free some disk space.", folder=folder)
         if not names:
             raise OutputError("There are no images for the video. Use a take with at least one frame.")
         temporary.unlink()
         with contextlib.suppress(RuntimeError):  # Blender blames the codec even if the disk is full
             _encode(folder, names, (image.shape[1], image.shape[0]), fps, temporary)
         if _frames_in(temporary) < len(names):  # no error is raised if the disk fills up later
-            raise OutputError(f"Blender could not write {path}. Free some disk space, or choose another location.")
+            raise OutputError(
+                "Blender could not write {path}. Free some disk space, or choose another location.", path=path
+            )
 
 
 def _frames_in(path: Path) -> int:

@@ -33,6 +33,10 @@ def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterato
         except RuntimeError as error:
             reason = str(error).strip().splitlines()[-1].removeprefix("Error: ")
             reason = reason[:1].lower() + reason[1:]
-            raise OutputError(f"Cannot write {path}: {reason}. Choose another location for the output.") from error
+            raise OutputError(
+                "Cannot write {path}: {reason}. Choose another location for the output.", path=path, reason=reason
+            ) from error
         if not temporary.exists() or not is_complete(temporary):
-            raise OutputError(f"Cannot write {path}: no space is left. Choose another location for the output.")
+            raise OutputError(
+                "Cannot write {path}: no space is left. Choose another location for the output.", path=path
+            )

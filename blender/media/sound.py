@@ -28,11 +28,11 @@ def add_sound(scene: bpy.types.Scene, path: Path, frame: float) -> bpy.types.Str
         If the file is missing or has no sound.
     """
     if not path.is_file():
-        raise SourceError(f"The file {path} does not exist. Choose the video or the sound file of the take.")
+        raise SourceError("The file {path} does not exist. Choose the video or the sound file of the take.", path=path)
     sound = bpy.data.sounds.load(str(path), check_existing=True)
     if sound.channels == "INVALID":
         bpy.data.sounds.remove(sound)
-        raise SourceError(f"{path.name} contains no readable sound. Choose another file.")
+        raise SourceError("{name} contains no readable sound. Choose another file.", name=path.name)
     editor = scene.sequence_editor or scene.sequence_editor_create()
     strips = strips_of(editor)
     channel = max((strip.channel for strip in strips), default=_CHANNEL - 1) + 1

@@ -82,7 +82,11 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
         else:
             found = [source] if source.suffix.lower() in VIDEO_SUFFIXES else _listed(source)
         if not found:
-            raise SourceError(f"There is no video in {source}. Use files with {', '.join(sorted(VIDEO_SUFFIXES))}.")
+            raise SourceError(
+                "There is no video in {source}. Use files with {suffixes}.",
+                source=source,
+                suffixes=", ".join(sorted(VIDEO_SUFFIXES)),
+            )
         clips += found
     return clips
 
@@ -93,7 +97,11 @@ def _videos_in(folder: Path) -> list[Path]:
         os.listdir(folder)  # `rglob` ignores a folder that is not readable
         return sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
     except OSError as error:
-        raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error
+        raise SourceError(
+            "The folder {folder} cannot be read: {error}. Change its permissions.",
+            folder=folder,
+            error=reason_of(error),
+        ) from error
 
 
 def _listed(path: Path) -> list[Path]:
@@ -110,7 +118,8 @@ def _listed(path: Path) -> list[Path]:
 
 def _no_list(path: Path) -> SourceError:
     return SourceError(
-        f"{path} is neither a folder nor a list of clips. Use a folder, or a UTF-8 text with one path per line."
+        "{path} is neither a folder nor a list of clips. Use a folder, or a UTF-8 text with one path per line.",
+        path=path,
     )
 
 
@@ -149,7 +158,9 @@ def checksum(path: Path) -> str:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
-        raise SourceError(f"{path} cannot be read: {reason_of(error)}. Check the path.") from error
+        raise SourceError(
+            "{path} cannot be read: {error}. Check the path.", path=path, error=reason_of(error)
+        ) from error
 
 
 def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:

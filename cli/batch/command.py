@@ -127,7 +127,9 @@ def run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | No
     clips = find_clips(sources)
     check_writable(folder / "report.json")
     if jobs < 1:
-        raise FacemimeError(f"The number of clips at a time must be at least 1; got {jobs}. Use --jobs 1 or more.")
+        raise FacemimeError(
+            "The number of clips at a time must be at least 1; got {jobs}. Use --jobs 1 or more.", jobs=jobs
+        )
     if dask is None and importlib.util.find_spec("bpy") is None:
         raise FacemimeError("batch needs Blender. Run: blender --command facemime batch ..., or install bpy.")
     folder.mkdir(parents=True, exist_ok=True)
@@ -194,7 +196,7 @@ def _chosen(clips: Sequence[Path], number: int | None) -> Path:
     if number is None and len(clips) == 1:
         return clips[0]
     if number is None or not 1 <= number <= len(clips):
-        raise SourceError(f"There are {len(clips)} clips. Choose one: --number 1 to --number {len(clips)}.")
+        raise SourceError("There are {clips} clips. Choose one: --number 1 to --number {clips}.", clips=len(clips))
     return clips[number - 1]
 
 

@@ -7,6 +7,7 @@ import binascii
 from pathlib import PurePath
 from typing import Any
 
+from ...core.errors import DataError
 from ...core.files.reading import as_integer, as_list, as_number, as_object, shown
 
 _MOST_FRAMES = 2**31
@@ -34,11 +35,11 @@ def checked_record(data: Any) -> dict[str, Any]:
         "frames": as_integer(given.get("frames"), "frames", 1, _MOST_FRAMES),
     }
     if not record["outputs"]:
-        raise ValueError("it names no outputs")
+        raise DataError("it names no outputs")
     record["found"] = as_integer(given.get("found"), "found", 0, record["frames"])
     record["missing"] = given.get("missing", "")  # earlier records lack it
     if not isinstance(record["missing"], str) or len(record["missing"]) > _MOST_CHARACTERS:
-        raise ValueError(f"{shown(record['missing'])} does not say what is missing")
+        raise DataError("{record} does not say what is missing", record=shown(record["missing"]))
     for name in ("length", "seconds"):
         record[name] = as_number(given.get(name), name, 0.0, _MOST_SECONDS)
     curve = as_list(given.get("confidence"), "confidence", _MOST_POINTS)
@@ -53,15 +54,15 @@ def checked_record(data: Any) -> dict[str, Any]:
 def _name(value: Any) -> str:
     """The name of a file; not a path, which might lead anywhere."""
     if not isinstance(value, str) or value in ("", ".", "..") or PurePath(value).name != value or "\\" in value:
-        raise ValueError(f"{shown(value)} is not the name of a file")
+        raise DataError("{value} is not the name of a file", value=shown(value))
     return value
 
 
 def _picture(value: Any) -> str:
     if not isinstance(value, str):
-        raise ValueError(f"{shown(value)} is not a picture")
+        raise DataError("{value} is not a picture", value=shown(value))
     try:
         base64.b64decode(value, validate=True)
     except (binascii.Error, ValueError) as error:
-        raise ValueError("a thumbnail is not in base 64") from error
+        raise DataError("a thumbnail is not in base 64") from error
     return value

@@ -99,7 +99,8 @@ class DaskRunner:
             self._client = Client(address, timeout="10s")  # type: ignore[no-untyped-call]  # Dask has no types
         except (OSError, ValueError) as error:
             raise FacemimeError(
-                f"There is no Dask scheduler at {address}. Start one by running dask scheduler, and use its address."
+                "There is no Dask scheduler at {address}. Start one by running dask scheduler, and use its address.",
+                address=address,
             ) from error
         self._waiting: list[object] = []
 

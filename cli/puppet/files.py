@@ -63,7 +63,7 @@ CUTS: Mapping[str, Callable[[bpy.types.Object], int]] = {"open_lips": open_lips,
 def open_blend(path: Path) -> None:
     """Open a .blend file without running its scripts; raises SourceError if that is not possible."""
     if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Check its name.")
+        raise SourceError("There is no file {path}. Check its name.", path=path)
     place = os.path.realpath(path)
     require_utf8_name(Path(place))
     try:
@@ -72,7 +72,7 @@ def open_blend(path: Path) -> None:
             bpy.ops.wm.open_mainfile(filepath=place, use_scripts=False)
     except RuntimeError as error:
         raise SourceError(
-            f"{path} cannot be opened by this version of Blender. Check that it is a .blend file."
+            "{path} cannot be opened by this version of Blender. Check that it is a .blend file.", path=path
         ) from error
     _leave_modes()
 
@@ -104,7 +104,7 @@ def object_named(path: Path, name: str) -> bpy.types.Object:
     found = next((obj for obj in bpy.data.objects if obj.name == name), None)
     if found is None:
         names = ", ".join(obj.name for obj in bpy.data.objects if obj.type == "MESH") or "no mesh"
-        raise HeadError(f"{path} has no object {name}. Choose one of: {names}.")
+        raise HeadError("{path} has no object {name}. Choose one of: {names}.", path=path, name=name, names=names)
     return found
 
 
@@ -121,10 +121,14 @@ def open_file(path: Path) -> None:
         open_blend(path)
         return
     if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Check its name.")
+        raise SourceError("There is no file {path}. Check its name.", path=path)
     require_utf8_name(Path(os.path.realpath(path)))
     if suffix not in _IMPORTERS:
-        raise SourceError(f"{path} is not a file of a character. Use {', '.join(CHARACTER_SUFFIXES)}.")
+        raise SourceError(
+            "{path} is not a file of a character. Use {suffixes}.",
+            path=path,
+            suffixes=", ".join(CHARACTER_SUFFIXES),
+        )
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     # Before the import, as importers convert seconds to frames of the scene.
@@ -137,8 +141,9 @@ def open_file(path: Path) -> None:
             tell(f"{path.name} is driven by {count} expressions of its own.")
     except (RuntimeError, AttributeError, OSError, ValueError, MemoryError) as error:
         raise SourceError(
-            f"{path} cannot be imported by this version of Blender ({_reason(error)}). Export it again, or use a "
-            ".blend file."
+            "{path} cannot be imported by this version of Blender ({error}). Export it again, or use a .blend file.",
+            path=path,
+            error=_reason(error),
         ) from error
     _require_plausible(path)
     clips = clips_of(owners_of(bpy.data.objects))
@@ -152,7 +157,7 @@ def open_file(path: Path) -> None:
 def _require_plausible(path: Path) -> None:
     """Raise SourceError if more was imported than a file of this size can hold, as a damaged one may claim."""
     if path.suffix.lower() in _WHOLE and sum(len(mesh.vertices) for mesh in bpy.data.meshes) > path.stat().st_size:
-        raise SourceError(f"{path} claims to have more vertices than bytes. It is damaged; export it again.")
+        raise SourceError("{path} claims to have more vertices than bytes. It is damaged; export it again.", path=path)
 
 
 def set_frames(clips: Mapping[str, Clip]) -> None:
@@ -207,7 +212,9 @@ def read_from(path: Path) -> Iterator[None]:
         raise
     except Exception as error:
         reason = f"{type(error).__name__}: {_reason(error)}"
-        raise SourceError(f"{path} cannot be used ({reason}). It may be damaged; export it again.") from error
+        raise SourceError(
+            "{path} cannot be used ({reason}). It may be damaged; export it again.", path=path, reason=reason
+        ) from error
 
 
 def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.types.Object:
@@ -232,7 +239,9 @@ def _open_head(file: HeadFile, by_keys: Collection[str] | None) -> bpy.types.Obj
     open_file(path)
     bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
     if not name and len(bound) > 1:
-        raise HeadError(f"{path} has {len(bound)} meshes with landmarks. Choose one: {path}:OBJECT.")
+        raise HeadError(
+            "{path} has {bound} meshes with landmarks. Choose one: {path}:OBJECT.", path=path, bound=len(bound)
+        )
     named = object_named(path, name) if name else None
     chosen = bound[0] if named is None and bound else named or likely_mesh(path)
     with showing_scene(scene_of(chosen)):

@@ -150,7 +150,9 @@ def _points(path: Path) -> GreedySelection:
     try:
         return from_json(read_text(path))
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} cannot be read ({error}). Use a file that facemime select -o wrote.") from error
+        raise SourceError(
+            "{path} cannot be read ({error}). Use a file that facemime select -o wrote.", path=path, error=error
+        ) from error
 
 
 def _built_in(bake: BakeSettings) -> bpy.types.Object:
@@ -255,8 +257,9 @@ def _avatars(scene: bpy.types.Scene, times: NDArray[np.float64], start: float) -
             yield picture
     except (RuntimeError, OSError) as error:
         raise OutputError(
-            f"Blender cannot render a picture ({str(error).strip().removeprefix('Error: ')}). "
-            f"Free some space in {tempfile.gettempdir()}, or set TMPDIR to another folder."
+            "Blender cannot render a picture ({reason}). Free some space in {folder}, or set TMPDIR to another folder.",
+            reason=str(error).strip().removeprefix("Error: "),
+            folder=tempfile.gettempdir(),
         ) from error
 
 

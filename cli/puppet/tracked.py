@@ -7,7 +7,7 @@ import os
 from collections.abc import Iterator
 from pathlib import Path
 
-from ...core.errors import FacemimeError, SourceError
+from ...core.errors import FacemimeError, Message, SourceError
 from ...core.files.writing import free_name, settle
 from ...core.media.capture import require_file
 from ...core.takes.file import SUFFIX, load_take
@@ -58,11 +58,11 @@ def growing(unfinished: Path) -> Iterator[Path]:
     except FacemimeError as error:
         if str(name) in str(error) or not name.exists():
             raise
-        raise type(error)(f"{error} What was tracked is in {name}.") from error
+        raise type(error)(Message("{error} What was tracked is in {name}.", error=error, name=name)) from error
     except KeyboardInterrupt as stop:
         if not name.exists():
             raise
-        raise KeyboardInterrupt(f"what was tracked is in {name}") from stop
+        raise KeyboardInterrupt(Message("what was tracked is in {name}", name=name)) from stop
 
 
 def track(
@@ -98,7 +98,8 @@ def track(
     if not take.found.any() and not take.info.get("interrupted"):
         unfinished.unlink()
         raise SourceError(
-            f"No face was found in any frame of {video}. Use a video with one face, well lit and towards the camera."
+            "No face was found in any frame of {video}. Use a video with one face, well lit and towards the camera.",
+            video=video,
         )
     return take
 

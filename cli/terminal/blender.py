@@ -30,5 +30,8 @@ def importing_blender(what: str, line: str = "...") -> Iterator[None]:
             yield
     except ImportError as error:
         raise FacemimeError(
-            f"{what} needs Blender ({error}). Run: blender --command facemime {line}, or install bpy."
+            "{what} needs Blender ({error}). Run: blender --command facemime {line}, or install bpy.",
+            what=what,
+            error=error,
+            line=line,
         ) from error

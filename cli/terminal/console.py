@@ -29,7 +29,9 @@ def say(text: str) -> None:
     except BrokenPipeError:
         sys.stdout = open(os.devnull, "w")  # noqa: SIM115 - receives the rest of the buffer when Python ends
     except OSError as error:
-        raise OutputError(f"Cannot write to the standard output: {(error.strerror or str(error)).lower()}.") from error
+        raise OutputError(
+            "Cannot write to the standard output: {reason}.", reason=(error.strerror or str(error)).lower()
+        ) from error
 
 
 def tell(text: str) -> None:

@@ -66,7 +66,9 @@ def run_in_child(line: Sequence[str], path: Path) -> int:
         status = _status_of([*own_command(), *line], mark)
         died = mark.exists()
     if died and not STOPPING.heard:
-        raise SourceError(f"{path} cannot be read: {_reason(status)}. It may be damaged; export it again.")
+        raise SourceError(
+            "{path} cannot be read: {status}. It may be damaged; export it again.", path=path, status=_reason(status)
+        )
     return status if not died else STOPPING.status
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_type_hints
 
 from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ...core.drive.drive_settings import DriveSettings, PosingSettings
-from ...core.errors import FacemimeError, SourceError
+from ...core.errors import FacemimeError, Message, SourceError
 from ...core.files.reading import shown
 from ...core.files.setting import Setting, changed, settings_of
 from ...core.puppet.built_in_presets import COMMAND_NAMES, built_in_path, read_preset
@@ -59,9 +59,9 @@ def whole_number(text: str) -> int:
     try:
         value = int(text)
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{_shortened(text)} is not a whole number") from None
+        raise argparse.ArgumentTypeError(Message("{text} is not a whole number", text=_shortened(text))) from None
     if abs(value) > _MAX_COUNT:
-        raise argparse.ArgumentTypeError(f"{_shortened(text)} is too large")
+        raise argparse.ArgumentTypeError(Message("{text} is too large", text=_shortened(text)))
     return value
 
 
@@ -72,7 +72,7 @@ def number(text: str) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"{_shortened(text)} is not a valid number")
+        raise argparse.ArgumentTypeError(Message("{text} is not a valid number", text=_shortened(text)))
     return value
 
 
@@ -156,7 +156,7 @@ def face_of(text: str) -> tuple[float, float] | None:
     except ValueError:
         x = y = _MAX_PIXEL + 1
     if max(abs(x), abs(y)) > _MAX_PIXEL:
-        raise FacemimeError(f"{_shortened(text)} is not a face. Use left, right, or pixels such as 320,240.")
+        raise FacemimeError("{text} is not a face. Use left, right, or pixels such as 320,240.", text=_shortened(text))
     return float(x), float(y)
 
 
@@ -202,7 +202,11 @@ def _preset_path(text: str) -> Path:
     if text in COMMAND_NAMES:
         return built_in_path(COMMAND_NAMES[text])
     if not Path(text).is_file():
-        raise SourceError(f"There is no preset {shown(text)}. Use {', '.join(COMMAND_NAMES)}, or a file.")
+        raise SourceError(
+            "There is no preset {text}. Use {known}, or a file.",
+            text=shown(text),
+            known=", ".join(COMMAND_NAMES),
+        )
     return Path(text)
 
 
@@ -296,7 +300,9 @@ def _type_of(setting: Setting) -> Callable[[str], Any]:
             return setting.checked(value, "the value")
         except ValueError:
             low, high = (_shown(setting, end) for end in (setting.low, setting.high))
-            raise argparse.ArgumentTypeError(f"{_shortened(text)} is not between {low} and {high}") from None
+            raise argparse.ArgumentTypeError(
+                Message("{text} is not between {low} and {high}", text=_shortened(text), low=low, high=high)
+            ) from None
 
     return str if setting.kind is str else read
 

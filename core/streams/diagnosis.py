@@ -114,14 +114,14 @@ class Diagnosis:
         return ""
 
     def _foreign(self, data: bytes, host: str) -> str:
-        label = PROTOCOLS[self._settings.protocol].label
+        label = Message(PROTOCOLS[self._settings.protocol].label)
         if (name := recognise(data, self._settings)) is None:
             return Message(
                 "What arrives from {host} is not {label}, nor another protocol known here. Check what it sends.",
                 host=host,
                 label=label,
             )
-        other = PROTOCOLS[name].label
+        other = Message(PROTOCOLS[name].label)
         return Message(
             "What arrives from {host} looks like {other}, not {label}. Choose protocol {name}.",
             host=host,

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import SourceError
+from ..errors import Message, SourceError
 from ..files.setting import Choice, setting, settings_of
 from . import vertices
 from .protocols import face_cap, face_motion, ifacialmocap, live_link, openseeface, vmc, vrcfacetracking, vtube_studio
@@ -189,7 +189,8 @@ class StreamSettings:
             )
         if protocol.phone_port and not self.phone:
             raise SourceError(
-                "{label} needs the address of the phone. Enter the one that the app shows.", label=protocol.label
+                "{label} needs the address of the phone. Enter the one that the app shows.",
+                label=Message(protocol.label),
             )
         if self.pairing is not None and self.protocol != OWN:
             raise SourceError("Pairing works only with Facemime's own protocol. Choose Facemime as the protocol.")

@@ -24,10 +24,33 @@ def test_the_texts_are_found_in_the_sources():
         assert text in wanted
 
 
-def test_the_functions_that_return_messages_are_in_the_sources():
-    modules = [path.read_text(encoding="utf-8") for path in strings.message_sources()]
-    for name in strings._FUNCTIONS:
-        assert any(f"def {name}(" in module for module in modules), name
+def test_messages_and_errors_of_every_kind_are_collected(tmp_path):
+    """Constants, templates, either of two, constants of the module, and tables; but no names, and no other texts."""
+    module = tmp_path / "module.py"
+    module.write_text(
+        """
+LOST = "The face was lost."
+TABLE = messages({1: "Chin"} | {2: "Tip of the nose"})
+raise SourceError(LOST if gone else text)
+raise MisnamedError("{path} is missing.", path=shown("a path"))
+raise DataError("it has no rows" if empty else "it has {count} rows", count=count)
+report(self, "Written to {path}", path=path)
+Message(LOST)
+print("Done already")
+"""
+    )
+    found = list(strings.messages(module))
+    assert sorted(found) == sorted(
+        ["Chin", "Tip of the nose", "{path} is missing.", "it has no rows", "it has {count} rows", "Written to {path}"]
+        + ["The face was lost."]
+    )
+
+
+def test_a_message_is_no_f_string(tmp_path):
+    module = tmp_path / "module.py"
+    module.write_text('note = Message(f"{count} rows")')
+    with pytest.raises(AssertionError, match="not a template"):
+        list(strings.messages(module))
 
 
 @pytest.mark.parametrize("path", LANGUAGES, ids=lambda path: path.stem)
