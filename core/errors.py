@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
-Key = TypeVar("Key")
+_Key = TypeVar("_Key")
 
 
 class Message(str):
@@ -49,7 +49,7 @@ class Message(str):
         return cls(text) if match is None else cls(template, **match.groupdict())
 
 
-def messages(texts: Mapping[Key, str]) -> dict[Key, Message]:
+def messages(texts: Mapping[_Key, str]) -> dict[_Key, Message]:
     """Return a table of texts for the user as messages, so that they can be translated."""
     return {key: Message(text) for key, text in texts.items()}
 
