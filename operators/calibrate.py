@@ -5,7 +5,7 @@ from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..blender.messages import tooltip
 from ..blender.stubs import OperatorResult
-from ..sessions.countdown import COUNTDOWN
+from ..sessions.calibrating import COUNTDOWN
 from ..settings.performers import (
     add_performer,
     clear_file,

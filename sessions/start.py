@@ -19,11 +19,11 @@ from ..core.live.worker import LiveOptions
 from ..core.streams.source import StreamSource
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings
-from ..settings.bake_table import read_table
 from ..settings.performers import read_calibration, write_calibration
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
 from ..settings.rna import read
+from ..settings.takes_properties import read_table
 from ..settings.values import (
     drive_settings,
     face_of,

@@ -1,13 +1,23 @@
 """Properties of streams: where a face comes from over the network, and where it is sent."""
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.streams.sender import SENT
 from ..core.streams.stream_settings import PROTOCOLS, SendSettings, StreamSettings
 from ..core.streams.transport.addresses import EVERYWHERE, LOOPBACK
+from ..core.streams.transport.identity import load_identity
+from ..core.streams.transport.pairing import PORT as PAIRING_PORT
 from ..core.viewer.viewer_settings import PORT
 from .rna import with_settings
+from .storage import private_folder
+
+if TYPE_CHECKING:
+    from ..core.streams.transport.tls_server import TlsSender
+
 
 _ITEMS = {name: (name, of.label, of.description, of.number) for name, of in PROTOCOLS.items()}
 """Items of the menu of protocols."""
@@ -127,5 +137,52 @@ class FacemimeViewer(bpy.types.PropertyGroup):
     )
 
 
-CLASSES = (FacemimeStream, FacemimeHead, FacemimeOutput, FacemimeViewer)
+def pairing_folder() -> Path:
+    """Return the folder of this computer's certificate and token."""
+    return private_folder("pairing")
+
+
+def listening_host(output: FacemimeOutput) -> str:
+    """Return the address on which paired computers are awaited."""
+    return output.listen.strip() or EVERYWHERE
+
+
+def pairing_line(output: FacemimeOutput) -> str:
+    """Return the line to paste on another computer.
+
+    Raises
+    ------
+    SourceError
+        If the public address is not an address, or the stored certificate cannot be used.
+    OutputError
+        If the certificate cannot be written.
+    """
+    pairing = load_identity(pairing_folder()).pairing(
+        listening_host(output), output.port or PAIRING_PORT, output.public
+    )
+    return pairing.line
+
+
+def open_paired_sender(output: FacemimeOutput) -> "TlsSender":
+    """Return the sender to paired computers.
+
+    Raises
+    ------
+    SourceError
+        If the address cannot be listened on, or the stored certificate cannot be used.
+    OutputError
+        If the certificate cannot be written.
+    """
+    from ..core.streams.transport.tls_server import TlsSender  # only now, as its libraries take a moment
+
+    identity = load_identity(pairing_folder())
+    return TlsSender(listening_host(output), output.port or PAIRING_PORT, identity.context, identity.token)
+
+
+CLASSES = (
+    FacemimeStream,
+    FacemimeHead,
+    FacemimeOutput,
+    FacemimeViewer,
+)
 POINTERS = ((bpy.types.Object, "facemime", FacemimeHead),)

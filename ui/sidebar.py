@@ -13,12 +13,12 @@ from .documentation import draw_link
 from .drawing import wrap
 
 ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
-"""Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
+"""The panels in the tab, from top to bottom: the order of the workflow."""
 
 
-def place(module: str) -> int:
-    """Return the `bl_order` of the panel in a module of `ui`, given its `__name__`."""
-    return ORDER.index(module.rpartition(".")[2])
+def place(panel: str) -> int:
+    """Return the `bl_order` of a panel."""
+    return ORDER.index(panel)
 
 
 _NARROW = 220.0

@@ -11,8 +11,7 @@ from ..core.takes.timecodes import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
-from ..settings.bake_table import table_so_far
-from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake
+from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake, table_so_far
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
 
 _MAPPED = "mapped"
@@ -67,7 +66,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
     """Recording, the list of takes, and their editing."""
 
     bl_label = "Takes"
-    bl_order = place(__name__)
+    bl_order = place("takes")
     bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:

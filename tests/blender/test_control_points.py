@@ -14,7 +14,7 @@ from facemime.core.control_points.select import select_control_points
 from facemime.core.face.landmarks import from_ibug
 from facemime.settings.panel_properties import list_landmarks
 from facemime.ui.control_points import FACEMIME_UL_landmarks, shown_rows
-from facemime.ui.point_overlay import dots
+from facemime.ui.overlays import dots
 from tests.helpers.takes import performance
 
 NOSE, EAR = from_ibug((30, 0))
