@@ -6,7 +6,7 @@ import bpy
 
 from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
-from .cli import commands
+from .cli import entry
 from .operators import (
     attached_parts,
     bake,
@@ -75,7 +75,7 @@ _MODULES = (
     takes_panels,
     preview,
     overlays,
-    commands,
+    entry,
     session,
     show,
 )

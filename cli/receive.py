@@ -20,13 +20,11 @@ from ..core.streams.transport.security import write_key
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.from_animation import IMAGE_SIZE
 from ..core.takes.take import describe
+from .console import Progress, Screen, for_terminal, tell
+from .job_files import growing, outputs_of, unfinished_beside
+from .options import Commands, Options, add_command, add_key_option, add_settings, filled, number
 from .performance import LOOK
-from .puppet.tracked import growing, unfinished_beside
-from .terminal.console import Progress, Screen, tell
-from .terminal.options import Commands, Options, add_command, add_key_option, add_settings, filled, number
-from .terminal.outputs import outputs_of
-from .terminal.remedies import for_terminal
-from .terminal.stopping import STOPPING
+from .stopping import STOPPING
 
 _FLUSH = 1.0
 """Seconds after which what was received is on the disk."""

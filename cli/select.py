@@ -17,19 +17,9 @@ from ..core.heads.regions import REGIONS
 from ..core.heads.rig import HeadRig, built_in_head
 from ..core.puppet.job import HeadFile
 from ..core.takes.neutral import calibrate
-from .terminal.blender import importing_blender
-from .terminal.console import say, tell
-from .terminal.options import (
-    Commands,
-    add_command,
-    add_neutral_option,
-    add_preset_option,
-    add_settings,
-    filled,
-    head_file,
-)
-from .terminal.outputs import outputs_of
-from .terminal.takes import load_with_warnings
+from .console import say, tell
+from .job_files import importing_blender, load_with_warnings, outputs_of
+from .options import Commands, add_command, add_neutral_option, add_preset_option, add_settings, filled, head_file
 
 
 @dataclass(frozen=True)
@@ -118,7 +108,7 @@ def _rig_of(head: HeadFile) -> HeadRig:
     """
     with importing_blender("select --head", "select ..."):
         from ..blender.rigs import read_rig
-        from .puppet.files import open_head
+        from .character_files import open_head
     return read_rig(open_head(head))
 
 

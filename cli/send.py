@@ -18,10 +18,10 @@ from ..core.streams.stream_settings import EXPRESSIONS, OWN, SendSettings
 from ..core.streams.transport.addresses import parse_address
 from ..core.streams.transport.pairing import PORT as TLS_PORT
 from ..core.streams.vertices import VERTICES, VertexSender
+from .console import Progress, say, tell
+from .options import Commands, add_command, add_key_option, filled
 from .performance import LivePerformance, add_head_option, add_source, head_to_show, watch
-from .terminal.console import Progress, say, tell
-from .terminal.options import Commands, add_command, add_key_option, filled
-from .terminal.stopping import STOPPING
+from .stopping import STOPPING
 
 if TYPE_CHECKING:
     from ..core.streams.transport.tls_server import TlsSender

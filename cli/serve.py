@@ -14,10 +14,10 @@ from ..core.puppet.job import HeadFile
 from ..core.streams.transport.addresses import LOOPBACK, parse_address
 from ..core.viewer.qr import as_text, qr_code
 from ..core.viewer.viewer_settings import PORT, ViewerSettings, kept_token
+from .console import Progress, say, tell
+from .options import Commands, add_command, filled
 from .performance import LivePerformance, add_head_option, add_source, head_to_show, watch
-from .terminal.console import Progress, say, tell
-from .terminal.options import Commands, add_command, filled
-from .terminal.stopping import STOPPING
+from .stopping import STOPPING
 
 if TYPE_CHECKING:
     from ..core.viewer.relay import RelaySender

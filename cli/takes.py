@@ -30,11 +30,9 @@ from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
-from .terminal.blender import importing_blender
-from .terminal.console import tell
-from .terminal.options import Commands, add_command, add_output, add_settings, filled, head_file, number
-from .terminal.outputs import outputs_of
-from .terminal.takes import load_with_warnings
+from .console import tell
+from .job_files import importing_blender, load_with_warnings, outputs_of
+from .options import Commands, add_command, add_output, add_settings, filled, head_file, number
 
 Span = tuple[float, float]
 """Start and end in seconds, infinite if they were omitted."""
@@ -270,7 +268,7 @@ def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUT
 
 def _sampled(animation: HeadFile, clip: str) -> Take:
     with importing_blender("An animation", "import ..."):
-        from .puppet.character import sample
+        from .character import sample
     return sample(animation, clip)
 
 

@@ -10,11 +10,10 @@ from collections.abc import Callable
 
 import bpy
 
-from ..blender.contexts import in_a_window
+from ..blender.contexts import in_a_window, push_undo
 from ..blender.heads import attached
 from ..blender.registering import watch
 from ..blender.stubs import OperatorResult
-from ..blender.undo import push_undo
 from ..sessions.session import Session
 
 _STEPS = ("Delete", "Duplicate Objects", "Duplicate Linked", "Append", "Link", "Paste Objects", "Add Parts")

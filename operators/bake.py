@@ -6,11 +6,10 @@ import bpy
 import numpy as np
 from bpy.props import StringProperty
 
+from ..blender.animation.conflicts import mute_under, playing_under
 from ..blender.animation.puppet import puppet_heads
-from ..blender.animation.underneath import mute_under, playing_under
-from ..blender.media.reference import add_reference
-from ..blender.media.sound import add_sound
 from ..blender.meshes import can_be_driven, key_names, keys_of
+from ..blender.reference import add_reference, add_sound
 from ..blender.stubs import OperatorResult
 from ..blender.timeline import frames_of, rate_of
 from ..core.bake.arkit import arkit_coefficients

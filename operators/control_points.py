@@ -5,7 +5,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
-from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
+from ..blender.heads.placing import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, mesh_of, read_selection, write_selection
 from ..blender.rigs import read_rig
 from ..blender.stubs import OperatorResult

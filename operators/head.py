@@ -6,11 +6,10 @@ import bpy
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..blender.animation.gltf import SUFFIX, export_gltf
-from ..blender.heads.built_in import add_head
-from ..blender.heads.facegen import MILLIMETRE, import_facegen
+from ..blender.animation.exporting import SUFFIX, export_gltf
+from ..blender.heads.new_heads import MILLIMETRE, add_head, import_facegen
 from ..blender.meshes import keys_of, mesh_of
-from ..blender.placement import free_place
+from ..blender.view_layers import free_place
 from ..sessions.session import Session
 from .shared import (
     AsksForFile,

@@ -8,7 +8,6 @@ from bpy.props import EnumProperty, IntProperty
 from mathutils import Matrix
 
 from ..blender.characters import read_bones
-from ..blender.collections import show
 from ..blender.heads.binding import (
     check_object,
     move_landmark,
@@ -25,10 +24,10 @@ from ..blender.heads.eyes import open_eyes
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.lips import open_lips
-from ..blender.media.preview_scene import face_points, look_at_face
 from ..blender.meshes import mesh_of, read_places
 from ..blender.messages import translated
-from ..blender.placement import select_alone
+from ..blender.preview_scene import face_points, look_at_face
+from ..blender.view_layers import select_alone, show
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
 from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError

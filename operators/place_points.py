@@ -11,8 +11,7 @@ from bpy.props import StringProperty
 from ..blender.contexts import in_a_window
 from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.face_display import FaceDisplay
-from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
-from ..blender.heads.placing import Placing, marks_to_ask, skin_under
+from ..blender.heads.placing import NEAR, Placing, landmark_places, marks_to_ask, nearest_landmark, skin_under
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import Viewport, redraw, viewport_under
 from ..core.binding.bind import MIN_MARKS

@@ -9,7 +9,7 @@ from typing import Any
 
 from ..blender.animation.live import LiveHeadObject, require_one_left
 from ..blender.animation.live_mesh import clear_all_live
-from ..blender.undo import push_undo
+from ..blender.contexts import push_undo
 from ..core.drive.driver import HeadFrame
 from ..core.errors import OutputError
 from ..core.live.head_drivers import LiveHead

@@ -9,10 +9,9 @@ from typing import Protocol
 import bpy
 import numpy as np
 
-from ..blender.contexts import in_a_window
+from ..blender.contexts import in_a_window, push_undo
 from ..blender.messages import show_error
 from ..blender.timeline import frames_of
-from ..blender.undo import push_undo
 from ..core.errors import FacemimeError
 from ..core.live.worker import LiveWorker
 from ..core.takes.file import load_take

@@ -17,8 +17,7 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..blender.heads.binding import read_marks
-from ..blender.heads.landmark_places import landmark_places
-from ..blender.heads.placing import Placing, place_of_mark
+from ..blender.heads.placing import Placing, landmark_places, place_of_mark
 from ..blender.meshes import is_head, mesh_of, object_of, read_regions
 from ..blender.messages import interface as _
 from ..blender.viewports import Viewport, free_box, shows_overlays, viewport_drawn

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..blender.animation.underneath import playing_under
+from ..blender.animation.conflicts import playing_under
 from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon

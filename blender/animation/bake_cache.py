@@ -18,10 +18,10 @@ from ...core.errors import OutputError
 from ...core.files.writing import replacing
 from ..characters import Member
 from ..frames import to_blender
-from ..media.rendering import quiet
 from ..meshes import mesh_of
+from ..rendering import quiet
+from .bake_keys import standing_vertices
 from .exporting import selected_for_export
-from .standing import standing_vertices
 
 MODIFIER = "Facemime Cache"
 _ALEMBIC_BYTES = 24

@@ -22,7 +22,7 @@ from ..names import BAKED_KEY_PREFIX, LIVE_PROPERTY, VALUES_PROPERTY
 from ..own_pose import release_live
 from .aside import display_of, keys, restore, restore_all, set_aside
 from .bake_keys import require_relative, value_path
-from .live_values import LiveValues, clear_values
+from .live_keys import LiveValues, clear_values
 
 LIVE_KEY = "Facemime Live"
 _HAD_KEYS, _MADE_KEYS = 1, 2

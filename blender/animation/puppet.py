@@ -37,10 +37,9 @@ from .bake_keys import (
     moving_key_names,
     read_keys,
 )
-from .overruled import overruled, unseen
+from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
-from .underneath import mute_disturbing, playing_under
 
 TOLERANCE = 0.009
 """Error allowed for a basis of new shape keys, in eye distances."""

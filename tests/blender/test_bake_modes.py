@@ -15,7 +15,7 @@ from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.characters import members_of
 from facemime.blender.frames import from_blender, rotation_to_blender
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import StreamSettings
 from facemime.operators import puppet

@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.reference import add_reference
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.reference import add_reference
 from facemime.blender.timeline import rate_of
 from facemime.core.media.capture import VideoSource
 from facemime.core.takes.file import save_take

@@ -7,7 +7,7 @@ from pathlib import Path
 import bpy
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.takes.file import save_take
 from facemime.settings import moved_files, storage, takes_store
 from facemime.settings import user_presets as presets

@@ -8,7 +8,7 @@ import bpy
 import pytest
 
 from facemime.blender.heads.binding import write_marks
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.heads.painting import paint_region
 from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import PART_PROPERTY
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.errors import SourceError
