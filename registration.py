@@ -24,17 +24,9 @@ from .operators import (
     viewer,
 )
 from .sessions import session, show
-from .settings import (
-    moved_files,
-    panel_properties,
-    performers,
-    preferences,
-    properties,
-    stream_properties,
-    takes_properties,
-)
+from .settings import panel_properties, performers, preferences, properties, storage, takes_properties
 from .ui import control_points as control_points_panel
-from .ui import documentation, menus, overlays, preview, translations
+from .ui import documentation, menus, overlays, status, translations
 from .ui import head as head_panels
 from .ui import puppet as puppet_panel
 from .ui import source as source_panel
@@ -44,12 +36,11 @@ from .ui import takes as takes_panels
 _MODULES = (
     translations,
     preferences,
-    stream_properties,
     properties,
     panel_properties,
     performers,
     takes_properties,
-    moved_files,
+    storage,
     face_display,
     attached_parts,
     head,
@@ -73,7 +64,7 @@ _MODULES = (
     control_points_panel,
     puppet_panel,
     takes_panels,
-    preview,
+    status,
     overlays,
     entry,
     session,

@@ -22,9 +22,8 @@ from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import sphere_of_lids
 from ..core.heads.parts import FaceParts, Part
 from ..core.numeric import linalg
-from .armatures import posed_bones, rest_bones
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
-from .meshes import can_be_driven, driven_by_keys, mesh_of, read_faces, read_vertices
+from .meshes import can_be_driven, driven_by_keys, mesh_of, posed_bones, read_faces, read_vertices, rest_bones
 from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
 from .own_pose import own_mode, own_pose
 

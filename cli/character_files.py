@@ -13,10 +13,9 @@ import bpy
 from ..blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
-from ..blender.heads.eyes import open_eyes
 from ..blender.heads.family import family_of, heads_of, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
-from ..blender.heads.lips import open_lips
+from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.meshes import can_be_driven
 from ..blender.rendering import quiet, set_rate
 from ..core.binding.bind import Binding

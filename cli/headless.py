@@ -12,8 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender.animation.bake_cache import caches_beside
-from ..blender.animation.exporting import export_gltf, saved_by_blender
+from ..blender.animation.exporting import caches_beside, export_gltf, saved_by_blender
 from ..blender.animation.puppet import PuppetReport, check_heads, puppet_head
 from ..blender.animation.scene_range import holding_take
 from ..blender.contexts import scene_of, showing_scene

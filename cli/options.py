@@ -37,7 +37,7 @@ _HEAD_FILE = re.compile(rf"(.+(?:{'|'.join(map(re.escape, CHARACTER_SUFFIXES))})
 _MAX_PIXEL = 1_000_000
 
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"  # argparse has no public name for it
+Commands: TypeAlias = "argparse._SubParsersAction[Parser]"  # argparse has no public name for it
 Options = Mapping[str, Any]
 """Values of a command's options by name."""
 Job = TypeVar("Job")

@@ -8,14 +8,13 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..blender.armatures import posed_bones
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
 from ..blender.heads.expression_keys import making_expression_keys
 from ..blender.heads.family import armature_of
 from ..blender.heads.painting import mirror_painted, paint_region, smooth_painted
 from ..blender.heads.parts import forget_parts, sort_again
-from ..blender.meshes import is_head, mesh_of
+from ..blender.meshes import is_head, mesh_of, posed_bones
 from ..blender.names import HEAD_PROPERTY
 from ..blender.stubs import OperatorResult
 from ..core.errors import HeadError, SourceError

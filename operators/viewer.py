@@ -6,7 +6,7 @@ import bpy
 
 from ..blender.stubs import OperatorMixin, OperatorResult
 from ..core.streams.transport.identity import renew_identity
-from ..settings.stream_properties import pairing_folder, pairing_line
+from ..settings.properties import pairing_folder, pairing_line
 from .puppet import require_puppet, required_puppet, running
 from .shared import ReportsErrors, report, require
 

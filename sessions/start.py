@@ -32,8 +32,7 @@ from ..settings.values import (
     open_source,
     pose_targets,
 )
-from .live import LiveSession
-from .viewing import follow_viewer, open_vertices, open_viewer
+from .live import LiveSession, follow_viewer, open_vertices, open_viewer
 
 _SELF = ("CAMERA", "STREAM")
 """Kinds of sources that show the performer whose calibration is selected; a video may show anyone."""

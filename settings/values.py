@@ -33,10 +33,18 @@ from ..core.tracking.choice import LEFTMOST, RIGHTMOST
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import ViewerSettings
 from .preferences import preferences
-from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
+from .properties import (
+    FacemimeOutput,
+    FacemimePosing,
+    FacemimeSettings,
+    FacemimeSource,
+    FacemimeStream,
+    FacemimeViewer,
+    listening_host,
+    open_paired_sender,
+)
 from .rna import read
 from .storage import private_folder, project_folder
-from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer, listening_host, open_paired_sender
 from .takes_properties import FacemimeBake, read_table
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from ..core.viewer.qr import qr_code
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
 from ..settings import user_presets as presets
-from ..settings.stream_properties import FacemimeOutput
+from ..settings.properties import FacemimeOutput
 from ..settings.values import whole_file
 from .sidebar import Sidebar, is_narrow, labels, place, side_by_side, split_labels
 from .status import draw_progress, received, status_lines

@@ -15,8 +15,7 @@ from ..operators.shared import heads_in
 from ..sessions.calibrating import COUNTDOWN
 from ..settings.performers import calibration_of, stored_performers
 from ..settings.preferences import draw_camera, draw_preview, preferences
-from ..settings.properties import FacemimePerformer
-from ..settings.stream_properties import FacemimeStream
+from ..settings.properties import FacemimePerformer, FacemimeStream
 from ..settings.values import FILE_OF
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
 from .status import countdown_text

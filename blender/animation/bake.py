@@ -24,8 +24,8 @@ from ..meshes import keys_of, mesh_of
 from ..muting import Silenced, animated_paths, keyed_paths, strips_of
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..own_pose import own_mode, path_of, prefix_of, rotation_channel
-from .bake_cache import remove_cache
 from .bake_keys import remove_baked_keys, require_relative, value_path
+from .exporting import remove_cache
 from .targets import Placement, PoseTarget, carried_targets, continuous_quaternions
 
 _CHANNELS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")

@@ -10,9 +10,8 @@ import bpy
 import numpy as np
 
 from ...core.drive.motion import HeadMotion
-from ..armatures import armature_data
 from ..characters import Member, members_of, objects_of
-from ..meshes import key_names, key_offsets, keys_of, mesh_of
+from ..meshes import armature_data, key_names, key_offsets, keys_of, mesh_of
 from ..muting import Silenced, mute_others, mute_paths, others_playing
 from .bake_keys import family_keys, moved_paths, value_path
 from .targets import PoseTarget

@@ -20,9 +20,8 @@ from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.bones import find_bones
 from ...core.heads.part_names import named_part, names_body, names_skin
 from ...core.numeric.arrays import FloatArray
-from ..armatures import rest_bones
 from ..characters import head_of, objects_of, rest_matrix
-from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of
+from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones
 from ..names import PART_PROPERTY
 
 _STILL = 1e-6

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from facemime.blender.actions import TRACK
-from facemime.blender.animation.bake_cache import MODIFIER
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
+from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import Follow, LiveHeadObject
 from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_heads
 from facemime.blender.animation.targets import PoseTarget

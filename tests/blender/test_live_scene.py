@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.animation.bake_cache import MODIFIER
+from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.new_heads import add_head
