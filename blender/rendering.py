@@ -57,9 +57,9 @@ def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[i
     SourceError
         If the name of the temporary folder is not valid UTF-8.
     """
-    require_display_library()
+    _require_display_library()
     # Animation is evaluated in the scene that is shown only.
-    with temporary_folder() as folder, picture_of(scene) as picture, showing_scene(picture):
+    with temporary_folder() as folder, _picture_of(scene) as picture, showing_scene(picture):
         require_utf8_name(folder)
         yield from _rendered(picture, frames, size, folder / "frame.bmp")
 
@@ -87,7 +87,7 @@ def _rendered(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, 
 
 
 @contextlib.contextmanager
-def picture_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
+def _picture_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
     """Yield a new scene with the objects, camera, world and rate of another, which exists as long as the context.
 
     A new scene has no sequence, markers, compositor, view layers, stereo, region, exposure or time remapping of the
@@ -129,7 +129,7 @@ def without_subdivision(scene: bpy.types.Scene) -> Iterator[None]:
             modifier.show_render = True
 
 
-def require_display_library() -> None:
+def _require_display_library() -> None:
     """Raise OutputError if Blender cannot draw, as it would terminate the whole process instead of failing."""
     if sys.platform == "linux" and bpy.app.background:
         try:

@@ -50,7 +50,7 @@ def add_commands(commands: Commands) -> None:
     add_output(clip, "DIR", _OUTPUT)
     add_preset_option(clip)
     add_puppet_options(clip)
-    clip.set_defaults(run=lambda given: run_clip(puppet_job(given), given["number"]))
+    clip.set_defaults(run=lambda given: _run_clip(puppet_job(given), given["number"]))
 
     batch = add_command(
         commands,
@@ -71,13 +71,13 @@ def add_commands(commands: Commands) -> None:
     add_preset_option(batch)
     add_puppet_options(batch)
     batch.set_defaults(
-        run=lambda given: run_batch(
+        run=lambda given: _run_batch(
             puppet_job(given, source=given["sources"][0]), *(given[name] for name in ("sources", "jobs", "dask"))
         )
     )
 
 
-def run_clip(job: PuppetJob, number: int | None) -> int:
+def _run_clip(job: PuppetJob, number: int | None) -> int:
     """Run `facemime clip`: a clip to a head, a take, a sheet and a record; concurrent runs process it once.
 
     Parameters
@@ -104,7 +104,7 @@ def run_clip(job: PuppetJob, number: int | None) -> int:
     return 0
 
 
-def run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | None) -> int:
+def _run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | None) -> int:
     """Run `facemime batch`: process all clips that are not done, and write a report of all.
 
     Parameters

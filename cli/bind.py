@@ -58,7 +58,7 @@ def add_commands(commands: Commands) -> None:
         help=f"a point of the face, by vertex or by position in Blender; at least {MIN_MARKS} of: {points}",
     )
     bind.set_defaults(
-        run=lambda given: run_bind(
+        run=lambda given: _run_bind(
             *(given[name] for name in ("character", "output", "picture")),
             make_keys=given["make_keys"],
             refine=given["refine"],
@@ -68,7 +68,7 @@ def add_commands(commands: Commands) -> None:
     )
 
 
-def run_bind(
+def _run_bind(
     character: HeadFile,
     output: Path,
     picture: Path | None,

@@ -125,7 +125,7 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
     return obj
 
 
-def position_of(obj: bpy.types.Object, vertex: int) -> FloatArray:
+def _position_of(obj: bpy.types.Object, vertex: int) -> FloatArray:
     """Return the position of a vertex in the scene, (3,)."""
     return np.asarray(_in_scene(obj)[vertex])
 
@@ -171,7 +171,7 @@ class BoundCharacter:
             return ""
         landmarks = read_landmarks(self.head)
         places = {
-            number: position_of(self.head, int(landmarks[from_ibug([number])[0]])) for number in self.binding.wanted
+            number: _position_of(self.head, int(landmarks[from_ibug([number])[0]])) for number in self.binding.wanted
         }
         now = " ".join(f"--mark {number}={','.join(f'{value:.4g}' for value in at)}" for number, at in places.items())
         return f"{self.binding.doubt}. They are at: {now}"

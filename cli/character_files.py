@@ -32,7 +32,7 @@ _SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 _GLTF = (".glb", ".gltf", ".vrm")
 
 
-def animation_rate(path: Path) -> float | None:
+def _animation_rate(path: Path) -> float | None:
     """Return the frames per second of the animation in a file; None if it states none, or none that can be read."""
     if (rate := rate_of_file(path)) is not None or path.suffix.lower() not in _SUFFIXES:
         return rate
@@ -143,7 +143,7 @@ def open_file(path: Path) -> None:
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     # Before the import, as importers convert seconds to frames of the scene.
-    if (rate := animation_rate(path)) is not None:
+    if (rate := _animation_rate(path)) is not None:
         set_rate(bpy.context.scene, rate)
     try:
         with STOPPING.holding(), quiet(), limited(path):

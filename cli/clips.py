@@ -87,7 +87,7 @@ def _picture(value: Any) -> str:
     return value
 
 
-VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
+_VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
 _MAX_LIST = 1 << 26
 """Longest list in characters; longer files are videos with an unusual suffix."""
@@ -135,12 +135,12 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
     for source in sources:
         if os.path.isdir(source):
             found = _videos_in(source)
-        elif not check_readable(source) and source.suffix.lower() not in VIDEO_SUFFIXES:
+        elif not check_readable(source) and source.suffix.lower() not in _VIDEO_SUFFIXES:
             raise _no_list(source)
         else:
-            found = [source] if source.suffix.lower() in VIDEO_SUFFIXES else _listed(source)
+            found = [source] if source.suffix.lower() in _VIDEO_SUFFIXES else _listed(source)
         if not found:
-            raise SourceError(f"There is no video in {source}. Use files with {', '.join(sorted(VIDEO_SUFFIXES))}.")
+            raise SourceError(f"There is no video in {source}. Use files with {', '.join(sorted(_VIDEO_SUFFIXES))}.")
         clips += found
     return clips
 
@@ -149,7 +149,7 @@ def _videos_in(folder: Path) -> list[Path]:
     files = (path for path in folder.rglob("*") if not path.name.startswith(".") and os.path.isfile(path))
     try:
         os.listdir(folder)  # `rglob` ignores a folder that is not readable
-        return sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
+        return sorted(path for path in files if path.suffix.lower() in _VIDEO_SUFFIXES)
     except OSError as error:
         raise SourceError(f"The folder {folder} cannot be read: {reason_of(error)}. Change its permissions.") from error
 

@@ -41,8 +41,8 @@ from .stopping import STOPPING
 Image = NDArray[np.uint8]
 
 AVATAR_SIDE = 512
-SHEET_TILES = 9
-TILE_SIDE = 320
+_SHEET_TILES = 9
+_TILE_SIDE = 320
 _END_OF_BLEND = b"\xb1\xea\x92\x8f"
 """Last bytes of a compressed .blend file, as of any file in Zstandard's seekable format."""
 
@@ -123,14 +123,16 @@ def _write_others(
             export_gltf([head], job.gltf)
     setup_preview(scene, head, (AVATAR_SIDE, AVATAR_SIDE), view)
     if job.head is None:
-        look_through_camera()
+        _look_through_camera()
         save_blend(job.output)
-    chosen = select_distinct_frames(report.motion, SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
+    chosen = (
+        select_distinct_frames(report.motion, _SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
+    )
     sheet_frames = np.flatnonzero(take.found)[chosen]
     if job.preview is not None:
-        write_preview(scene, take, video, report.start, job.preview)
+        _write_preview(scene, take, video, report.start, job.preview)
     if job.sheet is not None:
-        write_sheet(scene, take, video, sheet_frames, report.start, job.sheet)
+        _write_sheet(scene, take, video, sheet_frames, report.start, job.sheet)
 
 
 def _settings(job: PuppetJob) -> PuppetSettings:
@@ -157,7 +159,7 @@ def _built_in(bake: BakeSettings) -> bpy.types.Object:
     return add_head(bpy.context, units=bake.uses_existing_keys)
 
 
-def look_through_camera() -> None:
+def _look_through_camera() -> None:
     """Set all 3D viewports of the file to the camera view, with textures."""
     for screen in bpy.data.screens:
         for space in (area.spaces.active for area in screen.areas if area.type == "VIEW_3D"):
@@ -186,7 +188,7 @@ def _is_complete(path: Path) -> bool:
         return file.read() == _END_OF_BLEND
 
 
-def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start: float, path: Path) -> None:
+def _write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start: float, path: Path) -> None:
     """Write a video of the performer with landmarks beside the avatar, at the nominal rate of the source.
 
     Parameters
@@ -218,7 +220,7 @@ def write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start:
     progress.finish(str(path))
 
 
-def write_sheet(
+def _write_sheet(
     scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], start: float, path: Path
 ) -> None:
     """Write a contact sheet of performer and avatar in `frames` of `take`.
@@ -237,8 +239,8 @@ def write_sheet(
     avatars = _avatars(scene, take.times[frames], start)
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):
-        face = draw_face(picture, _landmarks(take, frame), TILE_SIDE)
-        small = cv2.resize(avatar, (TILE_SIDE, TILE_SIDE), interpolation=cv2.INTER_AREA)
+        face = draw_face(picture, _landmarks(take, frame), _TILE_SIDE)
+        small = cv2.resize(avatar, (_TILE_SIDE, _TILE_SIDE), interpolation=cv2.INTER_AREA)
         pairs.append((draw_label(face, f"{take.times[frame]:.2f} s"), np.asarray(small, dtype=np.uint8)))
     write_image(path, contact_sheet(pairs))
 

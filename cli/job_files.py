@@ -33,11 +33,11 @@ def load_with_warnings(path: Path) -> Take:
     """
     check_readable(path)
     take = load_take(path)
-    tell_what_is_missing(path, take)
+    _tell_what_is_missing(path, take)
     return take
 
 
-def tell_what_is_missing(path: Path, take: Take) -> None:
+def _tell_what_is_missing(path: Path, take: Take) -> None:
     """Report on the standard error what could not be read of `path`, the file of a take or its video."""
     if lost := take.info.get("recovered"):
         tell(f"facemime: {path}: {lost}")
@@ -116,7 +116,7 @@ def track(
         track_video(video, tracker, on_frame, unfinished, face)
     take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
-    tell_what_is_missing(video, take)
+    _tell_what_is_missing(video, take)
     if not take.found.any() and not take.info.get("interrupted"):
         unfinished.unlink()
         raise SourceError(

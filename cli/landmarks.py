@@ -35,13 +35,13 @@ def add_commands(commands: Commands) -> None:
     )
     add_settings(landmarks, TrackingSettings)
     landmarks.set_defaults(
-        run=lambda given: run_landmarks(
+        run=lambda given: _run_landmarks(
             given["images"], given["output"], given["overlay"], filled(TrackingSettings, given)
         )
     )
 
 
-def run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
+def _run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
     """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status.
 
     Parameters

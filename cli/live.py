@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class SendJob:
+class _SendJob:
     """A performance to send.
 
     Attributes
@@ -112,10 +112,10 @@ def add_send(commands: Commands) -> None:
         default=SendSettings.expressions,
         help=f"names of the expressions that move in VMC ({SendSettings.expressions})",
     )
-    send.set_defaults(run=lambda given: run_send(filled(SendJob, given)))
+    send.set_defaults(run=lambda given: _run_send(filled(_SendJob, given)))
 
 
-def run_send(job: SendJob) -> int:
+def _run_send(job: _SendJob) -> int:
     """Run `facemime send`: track and send until the end, Ctrl-C, or the time is over; returns the exit status."""
     open_output = _open_sender(job) if job.serve is None else _open_server(job, job.serve)
     source, neutral = job.performance.open()
@@ -135,7 +135,7 @@ def run_send(job: SendJob) -> int:
     return 0
 
 
-def _open_sender(job: SendJob) -> Callable[[LiveWorker], Sender]:
+def _open_sender(job: _SendJob) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker send what it tracks, or the vertices of the head that it drives."""
     if job.tls is not None or job.public:
         raise FacemimeError("--tls and --public are for --serve. Leave them out, or use --serve instead of --to.")
@@ -168,12 +168,12 @@ def _open_vertices(settings: SendSettings, head: LiveHead, appearance: Appearanc
     return open_output
 
 
-def _open_vtube_studio(job: SendJob) -> Callable[[LiveWorker], Sender]:
+def _open_vtube_studio(job: _SendJob) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker send what it tracks to VTube Studio on a computer."""
     from ..core.streams.vtube_studio_api import VTubeStudioSender  # its libraries would delay the other commands
 
     host, port = parse_address(job.to or "")
-    token = job.token or user_settings() / "vtube_studio_token"
+    token = job.token or _user_settings() / "vtube_studio_token"
 
     def open_output(worker: LiveWorker) -> Sender:
         worker.output = sender = VTubeStudioSender(host, port, token)
@@ -182,13 +182,13 @@ def _open_vtube_studio(job: SendJob) -> Callable[[LiveWorker], Sender]:
     return open_output
 
 
-def user_settings() -> Path:
+def _user_settings() -> Path:
     """Return the folder of the user's settings."""
     places = (os.environ.get("APPDATA"), os.environ.get("XDG_CONFIG_HOME"))
     return Path(next(filter(None, places), Path.home() / ".config")) / "facemime"
 
 
-def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
+def _open_server(job: _SendJob, address: str) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
     from ..core.streams.transport.identity import load_identity
     from ..core.streams.transport.tls_server import TlsSender  # its libraries would delay the other commands
@@ -210,7 +210,7 @@ def _open_server(job: SendJob, address: str) -> Callable[[LiveWorker], Sender]:
 
 
 @dataclass(frozen=True)
-class ServeJob:
+class _ServeJob:
     """A performance to show in browsers.
 
     Attributes
@@ -272,10 +272,10 @@ def add_serve(commands: Commands) -> None:
         "--site", type=Path, metavar="FOLDER", help="folder for the relay's configuration and the page to publish"
     )
     serve.add_argument("--translation", action="store_true", help="also move the head, instead of only rotating it")
-    serve.set_defaults(run=lambda given: run_serve(filled(ServeJob, given)))
+    serve.set_defaults(run=lambda given: _run_serve(filled(_ServeJob, given)))
 
 
-def run_serve(job: ServeJob) -> int:
+def _run_serve(job: _ServeJob) -> int:
     """Run `facemime serve` until the end, Ctrl-C, or the time is over; returns the exit status."""
     if bool(job.relay) != (job.site is not None):
         raise FacemimeError("A relay needs a folder for its page. Give both --relay URL and --site FOLDER.")
@@ -301,7 +301,7 @@ def run_serve(job: ServeJob) -> int:
     return 0
 
 
-def _server(job: ServeJob, appearance: Appearance) -> tuple[ViewerServer, Callable[[], None]]:
+def _server(job: _ServeJob, appearance: Appearance) -> tuple[ViewerServer, Callable[[], None]]:
     """Return the viewer's own server, and what prints the address of the page."""
     from ..core.viewer.server import ViewerServer  # its libraries would delay the other commands
 
@@ -311,7 +311,7 @@ def _server(job: ServeJob, appearance: Appearance) -> tuple[ViewerServer, Callab
     return server, lambda: _announce(server)
 
 
-def _relay(job: ServeJob, folder: Path, appearance: Appearance) -> tuple[RelaySender, Callable[[], None]]:
+def _relay(job: _ServeJob, folder: Path, appearance: Appearance) -> tuple[RelaySender, Callable[[], None]]:
     """Return the sender to the relay, and what prints the folder of the page, whose name is all that viewers need."""
     from ..core.viewer.relay import RelaySender
     from ..core.viewer.site import Relay, Site

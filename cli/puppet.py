@@ -45,7 +45,7 @@ def add_commands(commands: Commands) -> None:
     add_face_option(track)
     add_settings(track, TrackingSettings)
     track.set_defaults(
-        run=lambda given: run_track(
+        run=lambda given: _run_track(
             given["video"],
             given["output"],
             given["face"],
@@ -73,7 +73,7 @@ def add_commands(commands: Commands) -> None:
     puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
 
 
-def run_track(
+def _run_track(
     video: Path, output: Path, face: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
 ) -> int:
     """Run `facemime track`: write a video as a take; returns the exit status.

@@ -23,7 +23,7 @@ from .options import Commands, add_command, add_neutral_option, add_preset_optio
 
 
 @dataclass(frozen=True)
-class SelectJob:
+class _SelectJob:
     """Control points to select.
 
     Attributes
@@ -70,10 +70,10 @@ def add_commands(commands: Commands) -> None:
     ):
         select.add_argument(option, type=parse_landmarks, default=(), metavar=example, help=text)
     add_neutral_option(select)
-    select.set_defaults(run=lambda given: run_select(filled(SelectJob, given)))
+    select.set_defaults(run=lambda given: _run_select(filled(_SelectJob, given)))
 
 
-def run_select(job: SelectJob) -> int:
+def _run_select(job: _SelectJob) -> int:
     """Run `facemime select`: choose control points, and print a line per step; returns the exit status."""
     inputs = {"the take that is read": job.take, "the file of the head": None if job.head is None else job.head.path}
     with outputs_of(((job.output, {".json"}),), inputs):

@@ -126,7 +126,7 @@ class Stopping:
         if self._over:
             return
         if self._at_once:
-            end_at_once(128 + number)
+            _end_at_once(128 + number)
         now = time.monotonic()
         if now - self._last < _TOGETHER:
             return
@@ -151,7 +151,7 @@ def _blocked() -> Iterator[None]:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, _SIGNALS)
 
 
-def end_at_once(status: int) -> NoReturn:
+def _end_at_once(status: int) -> NoReturn:
     """End the process, which has not written anything yet, with a message."""
     with contextlib.suppress(OSError):
         os.write(2, b"facemime: interrupted; nothing was written.\n")

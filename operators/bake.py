@@ -226,7 +226,7 @@ def _poses(bake: FacemimeBake) -> list[KeyPose]:
     return poses
 
 
-class OnTakesVideo(AsksForFile, OnTake):
+class _OnTakesVideo(AsksForFile, OnTake):
     """Mixin: uses the video that the selected take was tracked from, and asks for it if it cannot be found."""
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
@@ -250,7 +250,7 @@ class OnTakesVideo(AsksForFile, OnTake):
         return path, float(takes_store.read(line).info.get("offset", 0.0))
 
 
-class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
+class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
     """Add the sound of the take's video, or a sound file next to it, to the Sequencer in sync with the take"""
 
     bl_idname = "facemime.add_sound"
@@ -268,7 +268,7 @@ class FACEMIME_OT_add_sound(OnTakesVideo, bpy.types.Operator):
             report(self, "The playback of the scene is now synced to its sound")
 
 
-class FACEMIME_OT_add_reference(OnTakesVideo, bpy.types.Operator):
+class FACEMIME_OT_add_reference(_OnTakesVideo, bpy.types.Operator):
     """Show the take's video next to the active head, in sync with the take"""
 
     bl_idname = "facemime.add_reference"

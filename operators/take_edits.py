@@ -23,13 +23,13 @@ from .puppet import require_puppet, required_puppet
 from .shared import require
 from .takes import OnTake
 
-BLEND_PROPERTY = FloatProperty(
+_BLEND_PROPERTY = FloatProperty(
     name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=BLEND, min=0.0
 )
 """Property of the operators that insert a range into a take."""
 
 
-class AddsEditedTake(OnTake):
+class _AddsEditedTake(OnTake):
     """Mixin: shows a dialog, and adds the result of `changed` below the selected take, which is kept.
 
     Attributes
@@ -54,7 +54,7 @@ class AddsEditedTake(OnTake):
         takes_store.keep_beside(context.scene, edited, f"{line.name}_{self.suffix}")
 
 
-class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
+class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take that is trimmed to a range, and starts at the first frame"""
 
     bl_idname = "facemime.trim_take"
@@ -113,7 +113,7 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
 
 
 @with_settings(REPAIR)
-class FACEMIME_OT_mend_take(AddsEditedTake, bpy.types.Operator):
+class FACEMIME_OT_mend_take(_AddsEditedTake, bpy.types.Operator):
     """Add a mended copy of the selected take: without outliers and gaps, smoothed without delay, or mirrored"""
 
     bl_idname = "facemime.mend_take"
@@ -136,7 +136,7 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
         takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(scene, take_start(scene))))
 
 
-class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
+class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take with another take inserted, blended at both ends"""
 
     bl_idname = "facemime.punch_in_take"
@@ -145,7 +145,7 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
 
     other: StringProperty(name="Take", description="Take to insert")
     start: FloatProperty(name="Start (s)", description="Time at which it is inserted, in seconds", min=0.0)
-    blend: BLEND_PROPERTY
+    blend: _BLEND_PROPERTY
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -194,7 +194,7 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         min=0.0,
         max=30.0,
     )
-    blend: BLEND_PROPERTY
+    blend: _BLEND_PROPERTY
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

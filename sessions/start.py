@@ -88,7 +88,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         source,
         heads,
         neutral=neutral,
-        options=live_options(settings),
+        options=_live_options(settings),
         on_calibrated=keep_calibration,
         on_learnt=keep_calibration if live else None,
         output=output,
@@ -116,7 +116,7 @@ def _choose_senders(source: LiveSource, objects: Sequence[bpy.types.Object | Non
         source.chosen = tuple("" if obj is None else obj.facemime.sender.strip() for obj in objects)
 
 
-def live_options(settings: FacemimeSettings) -> LiveOptions:
+def _live_options(settings: FacemimeSettings) -> LiveOptions:
     """Return the options of the worker: smoothing, preview, and the face to track."""
     user = preferences()
     return LiveOptions(
@@ -148,7 +148,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
                 shown.drive_by(names_of(keys))
         session.update(heads)
     session.keep = settings.keep_pose
-    if worker.options != (wanted := live_options(settings)):
+    if worker.options != (wanted := _live_options(settings)):
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])

@@ -233,11 +233,11 @@ def dots(
         colour = REGION_COLOURS[row.regions[0]] if row.regions else _GREY
         if row.landmark == selected:
             radius, colour = 1.6 * _RADIUS, _SELECTED_COLOUR
-        drawn += rimmed(pixels[row.landmark], radius * scale, colour, scale)
+        drawn += _rimmed(pixels[row.landmark], radius * scale, colour, scale)
     return drawn
 
 
-def rimmed(
+def _rimmed(
     place: NDArray[np.float64], radius: float, colour: tuple[float, float, float], scale: float
 ) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Triangulate a dot with a dark rim.
@@ -282,10 +282,10 @@ def _draw_marks(context: bpy.types.Context, seen: Viewport, placing: Placing, sc
     obj = object_of(placing.obj)
     for vertex in read_marks(mesh_of(obj)).values():
         if (pixel := _pixel(context, seen, obj, vertex)) is not None:
-            drawn += rimmed(pixel, _DOT * scale, _MARKED, scale)
+            drawn += _rimmed(pixel, _DOT * scale, _MARKED, scale)
     expected = None if placing.next_mark is None else place_of_mark(obj, placing.next_mark)
     if expected is not None and (pixel := _pixel(context, seen, obj, expected)) is not None:
-        drawn += rimmed(pixel, 0.7 * _DOT * scale, _EXPECTED, scale)
+        drawn += _rimmed(pixel, 0.7 * _DOT * scale, _EXPECTED, scale)
     draw_triangles(drawn)
 
 
@@ -311,7 +311,7 @@ def _draw_guide(seen: Viewport, placing: Placing, next_mark: int, scale: float) 
     asked = outline[from_ibug([next_mark])[0]]
     marked = [outline[from_ibug([number])[0]] for number in placing.asked[: placing.step]]
     draw_triangles([dot(place, 0.6 * _DOT * scale, _MARKED) for place in marked])
-    draw_triangles(rimmed(asked, _DOT * scale, _ASKED, scale))
+    draw_triangles(_rimmed(asked, _DOT * scale, _ASKED, scale))
     name = _(MARKS[next_mark].capitalize())
     number, count = placing.step + 1, len(placing.asked)
     text = _("{number} of {count}: {name}").format(number=number, count=count, name=name)

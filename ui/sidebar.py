@@ -12,13 +12,13 @@ from ..operators.shared import required_subject, subject
 from .documentation import draw_link
 from .drawing import wrap
 
-ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
+_ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
 """The panels in the tab, from top to bottom: the order of the workflow."""
 
 
 def place(panel: str) -> int:
     """Return the `bl_order` of a panel."""
-    return ORDER.index(panel)
+    return _ORDER.index(panel)
 
 
 _NARROW = 220.0

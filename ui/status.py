@@ -55,7 +55,7 @@ def countdown_text(session: LiveSession) -> str:
     return _("Now") if calibration is not None and calibration.range_of else _("Hold Still")
 
 
-def latency_text(session: LiveSession) -> str:
+def _latency_text(session: LiveSession) -> str:
     """Return the delay from the camera to the vertices and the frame rate; "" before the first frame."""
     return session.stopwatch.text
 
@@ -82,7 +82,7 @@ def summary(session: LiveSession) -> tuple[str, Icon]:
         if dropped:
             return _("{count} frames recorded, {dropped} skipped").format(count=count, dropped=dropped), "REC"
         return _("{count} frames recorded").format(count=count), "REC"
-    return latency_text(session), "PREVIEW_RANGE"
+    return _latency_text(session), "PREVIEW_RANGE"
 
 
 def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
@@ -104,7 +104,7 @@ def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     elif is_hidden(latest.result.landmark_confidence):
         lines.append((_hidden(), "HIDE_ON"))
     counts = worker.counts
-    lines.append((latency_text(session), "PREVIEW_RANGE"))
+    lines.append((_latency_text(session), "PREVIEW_RANGE"))
     if slowest := session.stopwatch.slowest():
         lines.append((_("Slowest step: {name}").format(name=_(_STAGES[slowest])), "BLANK1"))
     numbers = {"tracked": counts.tracked, "dropped": counts.dropped, "lost": counts.lost}
@@ -165,7 +165,7 @@ def _draw() -> None:
         box = preview_box(seen.area, seen.region, (height, width))
         _draw_picture(latest.number, latest.preview, box)
         _draw_grip(box, scale)
-        draw_plate(latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
+        draw_plate(_latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
     free = free_box(seen.area, seen.region)
     span = free.left, free.right
     _draw_countdown(span, seen.region.height, session, scale)

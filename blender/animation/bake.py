@@ -78,7 +78,7 @@ def _is_added_by_angle(target: PoseTarget) -> bool:
     return rotation_channel(target.owner) == "rotation_euler" and path in keyed_paths(target.obj)
 
 
-def keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, frames: NDArray[np.floating[Any]]) -> None:
+def _keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, frames: NDArray[np.floating[Any]]) -> None:
     """Animate the quaternion of a posed object as its user animates its axis and angle.
 
     Blender has no delta rotation by axis and angle, so that such an object is posed as one with a quaternion. The
@@ -142,7 +142,7 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
             )
     for member in members_of(obj):
         _check_keys(member.obj, new=new_keys, old=old_keys)
-    for block in animated_owners(obj, targets):
+    for block in _animated_owners(obj, targets):
         check_curves(block)
 
 
@@ -232,7 +232,7 @@ def bake_pose(
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         add = keep or owner.type != "ARMATURE"
         silenced += write_curves(owner, name, frames, owned, nla=nla, add=add, leave_drivers=keep)
-        keep_axis_angles_moving(scene, owner, frames)
+        _keep_axis_angles_moving(scene, owner, frames)
     for child in filter(has_tongue, obj.children):
         curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
         name = f"{child.name} Expression"
@@ -240,7 +240,7 @@ def bake_pose(
     return silenced
 
 
-def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
+def _animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
     """Return all data-blocks that a bake or a session of a head may animate. Parameters are as for `check_bakeable`."""
     keys = [mesh_of(member.obj).shape_keys for member in members_of(obj)]
     keys += [mesh_of(child).shape_keys for child in filter(has_tongue, obj.children)]
@@ -253,7 +253,7 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
     An action that another character plays too is left to it. Parameters are as for `check_bakeable`.
     """
-    make_actions_own(animated_owners(obj, targets))
+    make_actions_own(_animated_owners(obj, targets))
     for member in members_of(obj):
         remove_baked_keys(member.obj)
         remove_cache(member.obj)

@@ -42,7 +42,7 @@ _MOST = 1.001
 _LOOKS = {COEFFICIENTS[column] for column in LOOKS}
 
 
-class AnimatedKeys:
+class _AnimatedKeys:
     """Reads the values of the keys of a head while its animation is sampled.
 
     Parameters
@@ -148,7 +148,7 @@ class Sampling:
         self._scene, self._head, self.frames = scene, head, frame_range(scene)
         self._rate = rate_of(scene)
         self._recorder = TakeRecorder(describe_animation(source, self._rate))
-        self._face, self._keys = _Face(head), AnimatedKeys(head)
+        self._face, self._keys = _Face(head), _AnimatedKeys(head)
         self._tracker: PointTracker | None = None
         self._moves = False
 

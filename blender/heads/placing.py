@@ -23,7 +23,7 @@ from .binding import VertexTakenError, move_landmark, propose_head_regions, prop
 
 NEAR = 24.0
 """Maximum distance of a click from a landmark, pixels at a resolution scale of 1."""
-EASY_FIRST = (36, 45, 48, 54, 30, 8, 39, 42)
+_EASY_FIRST = (36, 45, 48, 54, 30, 8, 39, 42)
 """iBUG numbers of `MARKS`, in the order in which users are asked for them: four that lie far apart come first."""
 _BEFORE = 10.0
 """Distance before the middle of an orthographic view at which a ray starts, relative to that of the view."""
@@ -219,7 +219,7 @@ class Placing:
 
 def marks_to_ask(wanted: Sequence[int] = ()) -> tuple[int, ...]:
     """Return the iBUG numbers of points to ask for: those `wanted` if there are any, and otherwise all `MARKS`."""
-    return tuple(number for number in EASY_FIRST if number in (wanted or MARKS))
+    return tuple(number for number in _EASY_FIRST if number in (wanted or MARKS))
 
 
 def place_of_mark(obj: bpy.types.Object, number: int) -> int | None:
