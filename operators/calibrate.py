@@ -53,7 +53,6 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.reset_calibration"
     bl_label = "Reset Calibration"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -60,7 +60,6 @@ class FACEMIME_PT_own_head(Sidebar, bpy.types.Panel):
 
     bl_label = "Your Own Head"
     bl_parent_id = "FACEMIME_PT_head"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -100,7 +99,6 @@ class FACEMIME_PT_parts(Sidebar, bpy.types.Panel):
 
     bl_label = "Character"
     bl_parent_id = "FACEMIME_PT_head"
-    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -132,7 +132,6 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
 
     bl_label = "Head and Eyes"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -161,7 +160,6 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
 
     bl_label = "Send"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
     header_icons = 1
 
     def draw_header(self, context: bpy.types.Context) -> None:
@@ -206,7 +204,6 @@ class FACEMIME_PT_incoming(Sidebar, bpy.types.Panel):
 
     bl_label = "Incoming Values"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -230,7 +227,6 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
     bl_label = "Whole Video"
     bl_parent_id = "FACEMIME_PT_puppet"
     bl_order = 1
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -265,7 +261,6 @@ class FACEMIME_PT_viewer(Sidebar, bpy.types.Panel):
 
     bl_label = "Viewer"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
     header_icons = 1
 
     def draw_header(self, context: bpy.types.Context) -> None:

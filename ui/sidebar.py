@@ -49,9 +49,7 @@ class Sidebar(PanelMixin):
 
 
 class OnHead(Sidebar):
-    """Mixin: a panel that is shown while the active object is a head, and closed at first."""
-
-    bl_options = {"DEFAULT_CLOSED"}
+    """Mixin: a panel that is shown while the active object is a head."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

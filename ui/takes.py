@@ -67,7 +67,6 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
 
     bl_label = "Takes"
     bl_order = place("takes")
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -165,7 +164,6 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
 
     bl_label = "Key Mapping"
     bl_parent_id = "FACEMIME_PT_takes"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
