@@ -16,9 +16,18 @@ from numpy.typing import NDArray
 
 from ..core.bake.clean import needed_keys
 from ..core.errors import HeadError
-from .fcurves import curves_in, curves_to_fill, disown_paths, own_paths, owned_paths
+from .fcurves import (
+    TRACK,
+    curves_in,
+    curves_to_fill,
+    disown_paths,
+    is_baked,
+    own_paths,
+    owned_paths,
+    tracked_strips,
+    tracks_of_bakes,
+)
 from .muting import Silenced, driven_paths, keyed_paths, mute_paths, muted_paths, unmute_noted
-from .tracks import TRACK, is_baked, tracked_strips, tracks_of_bakes
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,8 @@ from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import sphere_of_lids
 from ..core.heads.parts import FaceParts, Part
 from ..core.numeric import linalg
-from .armatures import posed_bones, rest_bones
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
-from .meshes import can_be_driven, driven_by_keys, mesh_of, read_faces, read_vertices
+from .meshes import can_be_driven, driven_by_keys, mesh_of, posed_bones, read_faces, read_vertices, rest_bones
 from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
 from .own_pose import own_mode, own_pose
 
@@ -274,7 +273,7 @@ def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones
 
 def rest_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
     """Return the (3, 3) rotation of `obj` in the world, without scales, performances and poses of bones."""
-    return np.asarray(parent_rotation(obj) @ np.array(placed_rotation(obj)))
+    return np.asarray(parent_rotation(obj) @ np.array(_placed_rotation(obj)))
 
 
 def parent_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
@@ -290,7 +289,7 @@ def parent_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:
 def rest_matrix(obj: bpy.types.Object) -> Matrix:
     """Return the (4, 4) transform of `obj` in the world, without performances and poses of bones."""
     location = obj.location + own_pose(obj).location
-    return parent_matrix(obj) @ Matrix.LocRotScale(location, placed_rotation(obj), placed_scale(obj))
+    return parent_matrix(obj) @ Matrix.LocRotScale(location, _placed_rotation(obj), placed_scale(obj))
 
 
 def parent_matrix(obj: bpy.types.Object) -> Matrix:
@@ -308,7 +307,7 @@ def placed_scale(obj: bpy.types.Object) -> Vector:
     return obj.scale * obj.delta_scale
 
 
-def placed_rotation(obj: bpy.types.Object) -> Matrix:
+def _placed_rotation(obj: bpy.types.Object) -> Matrix:
     """Return the (3, 3) rotation of `obj` relative to its parent, including the user's delta rotation."""
     return own_pose(obj).rotation @ own_rotation(obj)
 

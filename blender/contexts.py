@@ -1,9 +1,13 @@
-"""Contexts in which operators are called.
+"""Contexts in which operators are called, and undo steps.
 
 An operator runs without Python's lock. Within `temp_override` it still looks members of the context up in a Python
 dictionary, and up to Blender 5.0 (Python 3.11) it does not take the lock for that while another thread holds it. Memory
 is then corrupted, and Blender crashes sooner or later. So the context is overridden only where an operator could not
 run otherwise, and not while a session has threads.
+
+Blender's undo assumes that the open file equals the last step: data-blocks that are equal in two steps are not read
+again and keep their pointers. If a data-block is created or removed without an undo step, pointers to freed memory
+remain, and Blender crashes a few steps later. Values may change.
 """
 
 from __future__ import annotations
@@ -59,3 +63,10 @@ def showing_scene(scene: bpy.types.Scene) -> Iterator[None]:
         yield
     finally:
         window.scene = before
+
+
+def push_undo(message: str) -> None:
+    """Push an undo step, even from a timer or a handler, whose context has no window."""
+    with in_a_window():
+        if bpy.ops.ed.undo_push.poll():  # type: ignore[call-arg]  # the stubs have a class instead of its instance
+            bpy.ops.ed.undo_push(message=message)

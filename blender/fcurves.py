@@ -1,7 +1,10 @@
-"""Curves of an action, in every Blender from 4.2 (legacy actions) to 5.x (slots), and which of them Facemime made."""
+"""Curves of an action, in every Blender from 4.2 (legacy actions) to 5.x (slots), which of them Facemime made, the NLA
+tracks of its bakes, and actions that several characters share.
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -9,6 +12,10 @@ import bpy
 
 _OWNED = "facemime_curves"
 """Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
+TRACK = "Facemime"
+"""Name of a bake's NLA tracks, numbered if there are several; a renamed track belongs to the user."""
+
+
 Holder = bpy.types.AnimData | bpy.types.NlaStrip
 """What plays an action: the animation of a data-block, or a strip."""
 
@@ -94,3 +101,64 @@ def _names(holder: Holder) -> list[str]:
     """Return the properties with the paths: that of files without slots, and that of the slot."""
     handle = slot_handle(holder)
     return [_OWNED, *([f"{_OWNED}.{handle}"] if handle else [])]
+
+
+_TRACK_NAME = re.compile(rf"{TRACK}(\.\d{{3}})?")
+
+
+def tracks_of_bakes(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
+    """Return the NLA tracks of `owner` that a bake added."""
+    data = owner.animation_data
+    return [] if data is None else [track for track in data.nla_tracks if _TRACK_NAME.fullmatch(track.name)]
+
+
+def tracked_strips(owner: bpy.types.ID) -> list[bpy.types.NlaStrip]:
+    """Return the strips on these tracks, among which may be strips of the user."""
+    return [strip for track in tracks_of_bakes(owner) for strip in track.strips]
+
+
+def is_baked(strip: bpy.types.NlaStrip) -> bool:
+    """Return whether a bake wrote the action of a strip."""
+    return bool(owned_paths(strip))
+
+
+def make_actions_own(owners: Iterable[bpy.types.ID]) -> None:
+    """Give data-blocks of a character a copy of each action that plays elsewhere too, or is linked.
+
+    Data-blocks of the character that share an action also share its copy. Actions with slots are shared by what has the
+    same slot only.
+
+    Parameters
+    ----------
+    owners : iterable of bpy.types.ID
+        All data-blocks whose animation will be changed.
+    """
+    playing = [(owner, data) for owner in dict.fromkeys(owners) if (data := owner.animation_data) is not None]
+    animated = [owner for owner, data in playing if data.action is not None]
+    copies: dict[tuple[bpy.types.Action, int], bpy.types.Action] = {}
+    for _, data in playing:
+        action, handle = data.action, slot_handle(data)
+        if action is not None and (action, handle) not in copies and _plays_elsewhere(action, handle, animated):
+            copies[action, handle] = action.copy()
+    for _, data in playing:
+        handle = slot_handle(data)
+        if data.action is not None and (copy := copies.get((data.action, handle))) is not None:
+            data.action = copy
+            if handle:
+                data.action_slot = next(slot for slot in copy.slots if slot.handle == handle)
+
+
+def _plays_elsewhere(action: bpy.types.Action, handle: int, owners: list[bpy.types.ID]) -> bool:
+    """Return whether a slot of an action plays on another data-block, or on a strip, or cannot be changed here."""
+    if action.library is not None:
+        return True
+    for user in bpy.data.user_map(subset=[action])[action]:
+        data = getattr(user, "animation_data", None)
+        if data is None:
+            continue
+        if user not in owners and data.action == action and slot_handle(data) == handle:
+            return True
+        strips = (strip for track in data.nla_tracks for strip in track.strips)
+        if any(strip.action == action and slot_handle(strip) == handle for strip in strips):
+            return True
+    return False

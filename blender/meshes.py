@@ -1,4 +1,6 @@
-"""Conversion of meshes to and from numpy, and of the landmarks and regions that are stored with a mesh."""
+"""Conversion of meshes to and from numpy, the landmarks and regions that are stored with a mesh, and the bones of
+armatures.
+"""
 
 from __future__ import annotations
 
@@ -354,3 +356,20 @@ def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating[Any]]) -> 
         group.remove(np.flatnonzero(row == 0.0).tolist())
         for vertex in np.flatnonzero(row).tolist():
             group.add([vertex], float(row[vertex]), "REPLACE")
+
+
+def rest_bones(armature: bpy.types.Object) -> bpy.types.ArmatureBones:
+    """Return the bones of an armature at rest."""
+    return armature_data(armature).bones
+
+
+def armature_data(armature: bpy.types.Object) -> bpy.types.Armature:
+    """Return the data of an armature."""
+    assert isinstance(armature.data, bpy.types.Armature), f"{armature.name} is no armature"
+    return armature.data
+
+
+def posed_bones(armature: bpy.types.Object) -> bpy.types.bpy_prop_collection[bpy.types.PoseBone]:
+    """Return the bones of an armature as they are posed."""
+    assert armature.pose is not None, f"{armature.name} is no armature"
+    return armature.pose.bones

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import bpy
 
-from .fcurves import Holder, action_name, curves_in, owned_paths
-from .tracks import is_baked, tracked_strips
+from .fcurves import Holder, action_name, curves_in, is_baked, owned_paths, tracked_strips
 
 _KEYS = 'key_blocks["Facemime '
 """Prefix of the data paths of Facemime's shape keys."""

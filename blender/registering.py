@@ -49,7 +49,7 @@ def unregister_module(module: ModuleType) -> None:
     if hasattr(module, "unregister"):
         module.unregister()
     for step in getattr(module, "TIMERS", ()):
-        unwatch(step)
+        _unwatch(step)
     for name, handler in getattr(module, "HANDLERS", {}).items():
         getattr(bpy.app.handlers, name).remove(handler)
     for draw in getattr(module, "OVERLAYS", ()):
@@ -74,7 +74,7 @@ def watch(step: Callable[[], float | None], seconds: float) -> None:
         bpy.app.timers.register(step, first_interval=seconds, persistent=True)
 
 
-def unwatch(step: Callable[[], float | None]) -> None:
+def _unwatch(step: Callable[[], float | None]) -> None:
     """Stop a timer; Blender 4.2 crashes if one is left when the extension is removed."""
     if bpy.app.timers.is_registered(step):
         bpy.app.timers.unregister(step)

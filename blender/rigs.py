@@ -96,7 +96,7 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
         yield np.array_equal(read_weights(obj, part), rig.region_weights[:, part])
 
 
-def read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+def _read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
     """Return the eyeballs of a head, which are its children or parts of its mesh.
 
     Parameters
@@ -148,7 +148,7 @@ def _read_quick_parts(obj: bpy.types.Object) -> _QuickParts:
         "vertices": vertices,
         "landmarks": landmarks,
         "jaw_pivot": _jaw_pivot(obj, vertices[landmarks]),
-        "eyeballs": np.concatenate([read_eyeballs(obj, vertices[landmarks]), part_eyeballs(obj)]),
+        "eyeballs": np.concatenate([_read_eyeballs(obj, vertices[landmarks]), part_eyeballs(obj)]),
         "control_points": None if selection is None else selection.membership,
         "covariance": None if selection is None else selection.covariance,
     }

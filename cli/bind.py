@@ -12,11 +12,9 @@ from ..core.errors import FacemimeError
 from ..core.keys.key_sets import KEY_SETS
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ..core.takes.file import load_take
-from .terminal.blender import importing_blender
-from .terminal.console import say, tell
-from .terminal.options import Commands, add_command, add_output, head_file
-from .terminal.outputs import outputs_of
-from .terminal.remedies import for_terminal
+from .console import for_terminal, say, tell
+from .job_files import importing_blender, outputs_of
+from .options import Commands, add_command, add_output, head_file
 
 DOUBTFUL = 3
 """Exit status of `bind` if the head was written, but its face may be elsewhere."""
@@ -60,7 +58,7 @@ def add_commands(commands: Commands) -> None:
         help=f"a point of the face, by vertex or by position in Blender; at least {MIN_MARKS} of: {points}",
     )
     bind.set_defaults(
-        run=lambda given: run_bind(
+        run=lambda given: _run_bind(
             *(given[name] for name in ("character", "output", "picture")),
             make_keys=given["make_keys"],
             refine=given["refine"],
@@ -70,7 +68,7 @@ def add_commands(commands: Commands) -> None:
     )
 
 
-def run_bind(
+def _run_bind(
     character: HeadFile,
     output: Path,
     picture: Path | None,
@@ -105,7 +103,7 @@ def run_bind(
         raise FacemimeError("Takes refine ARKit's keys alone. Add --make-keys arkit, or leave out --refine.")
     takes = [load_take(path) for path in refine]
     with importing_blender("bind", "bind ..."):
-        from .puppet import character as headless
+        from . import character as headless
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
         keys = None if make_keys is None else KEY_SETS[make_keys]
         bound = headless.bind(character, keys=keys, takes=takes, cut_open=cut_open, marks=marks)

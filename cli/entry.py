@@ -1,4 +1,4 @@
-"""Start and end of the command's process.
+"""Start and end of the command's process, on its own or within Blender, by `blender --command facemime ...`.
 
 Tests and programs that call Facemime and continue afterwards use `main` instead.
 """
@@ -9,12 +9,14 @@ import contextlib
 import os
 import sys
 
-from .terminal.stopping import STOPPING, open_standard_streams
+from .stopping import STOPPING, follow_stdin, open_standard_streams
 
 TYPE_CHECKING = False  # as typing has it, which is imported once signals are heard
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from typing import NoReturn
+
+_handle = None
 
 
 def start(arguments: Sequence[str] | None = None) -> NoReturn:
@@ -24,8 +26,6 @@ def start(arguments: Sequence[str] | None = None) -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_standard_streams()
     with STOPPING.starting():
-        from .terminal.leash import follow_stdin
-
         follow_stdin()
         from .main import main
     STOPPING.run()
@@ -48,7 +48,7 @@ def _leave(status: int) -> NoReturn:
     contains a driver that was not run.
     """
     STOPPING.leave()
-    if (guard := sys.modules.get(f"{__package__}.terminal.guard")) is not None:
+    if (guard := sys.modules.get(f"{__package__}.guard")) is not None:
         guard.end_child()
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):  # the reader is gone
@@ -66,3 +66,18 @@ def _remove_blenders_folder() -> None:
     folder = os.path.normpath(bpy.app.tempdir) if bpy.app.tempdir else ""
     if os.path.basename(folder).startswith("blender_"):  # otherwise it is the general temporary folder
         shutil.rmtree(folder, ignore_errors=True)
+
+
+def register() -> None:
+    """Register the command with Blender."""
+    import bpy
+
+    global _handle  # noqa: PLW0603 - the handle is needed to unregister the command
+    _handle = bpy.utils.register_cli_command("facemime", start)
+
+
+def unregister() -> None:
+    """Unregister the command."""
+    import bpy
+
+    bpy.utils.unregister_cli_command(_handle)

@@ -19,11 +19,10 @@ from ..core.media.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.tracking.overlay import draw_landmarks
 from ..core.tracking.tracker import FaceTracker
 from ..core.tracking.tracking_settings import TrackingSettings
-from .puppet.tracked import place_beside
-from .terminal.console import Progress, tell
-from .terminal.options import Commands, add_command, add_output, add_settings, filled
-from .terminal.outputs import outputs_of
-from .terminal.stopping import INTERRUPTED, STOPPING
+from .console import Progress, tell
+from .job_files import outputs_of, place_beside
+from .options import Commands, add_command, add_output, add_settings, filled
+from .stopping import INTERRUPTED, STOPPING
 
 
 def add_commands(commands: Commands) -> None:
@@ -36,13 +35,13 @@ def add_commands(commands: Commands) -> None:
     )
     add_settings(landmarks, TrackingSettings)
     landmarks.set_defaults(
-        run=lambda given: run_landmarks(
+        run=lambda given: _run_landmarks(
             given["images"], given["output"], given["overlay"], filled(TrackingSettings, given)
         )
     )
 
 
-def run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
+def _run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
     """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status.
 
     Parameters

@@ -15,14 +15,12 @@ from collections.abc import Sequence
 from ..core.errors import FacemimeError
 from ..core.files.assets import version
 from ..core.puppet.job import HeadFile
-from . import bind, landmarks, receive, select, send, serve, takes
-from .batch import command as batch
-from .puppet import command as puppeting
-from .terminal.console import tell
-from .terminal.guard import is_child, run_in_child
-from .terminal.options import Parser, parse
-from .terminal.remedies import for_terminal
-from .terminal.stopping import INTERRUPTED, STOPPING
+from . import batch, bind, landmarks, live, receive, select, takes
+from . import puppet as puppeting
+from .console import for_terminal, tell
+from .guard import is_child, run_in_child
+from .options import Parser, parse
+from .stopping import INTERRUPTED, STOPPING
 
 
 def main(argv: Sequence[str] | None = None, *, guard: bool = False) -> int:
@@ -65,6 +63,10 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"facemime {version()}")
     commands = parser.add_subparsers(dest="command", required=True)
 
-    for module in (landmarks, bind, puppeting, select, takes, send, receive, serve, batch):
+    for module in (landmarks, bind, puppeting, select, takes):
         module.add_commands(commands)
+    live.add_send(commands)
+    receive.add_commands(commands)
+    live.add_serve(commands)
+    batch.add_commands(commands)
     return parser

@@ -21,12 +21,10 @@ from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings
-from .terminal.blender import importing_blender
-from .terminal.console import Progress, tell
-from .terminal.options import add_face_option, add_settings, head_file, number
-from .terminal.remedies import for_terminal
-from .terminal.stopping import STOPPING
-from .terminal.takes import load_with_warnings
+from .console import Progress, for_terminal, tell
+from .job_files import importing_blender, load_with_warnings
+from .options import add_face_option, add_settings, head_file, number
+from .stopping import STOPPING
 
 LOOK = 0.1
 """Seconds between two looks at what a source or a worker does."""
@@ -132,7 +130,7 @@ def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
         from ..blender.animation.appearance import read_appearance
         from ..blender.animation.live_keys import AUTOMATIC, live_keys
         from ..blender.rigs import read_rig
-        from .puppet.files import open_head
+        from .character_files import open_head
     obj = open_head(head, by_keys=ESSENTIAL)
     return LiveHead(read_rig(obj), keys=live_keys(obj, AUTOMATIC)), read_appearance(obj)
 

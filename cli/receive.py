@@ -20,20 +20,18 @@ from ..core.streams.transport.security import write_key
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.from_animation import IMAGE_SIZE
 from ..core.takes.take import describe
+from .console import Progress, Screen, for_terminal, tell
+from .job_files import growing, outputs_of, unfinished_beside
+from .options import Commands, Options, add_command, add_key_option, add_settings, filled, number
 from .performance import LOOK
-from .puppet.tracked import growing, unfinished_beside
-from .terminal.console import Progress, Screen, tell
-from .terminal.options import Commands, Options, add_command, add_key_option, add_settings, filled, number
-from .terminal.outputs import outputs_of
-from .terminal.remedies import for_terminal
-from .terminal.stopping import STOPPING
+from .stopping import STOPPING
 
 _FLUSH = 1.0
 """Seconds after which what was received is on the disk."""
 
 
 @dataclass(frozen=True)
-class ReceiveJob:
+class _ReceiveJob:
     """Streams to record.
 
     Attributes
@@ -92,10 +90,10 @@ def add_commands(commands: Commands) -> None:
         "--watch", action="store_true", help="show the values that arrive, for setting up a phone; -o may be left out"
     )
     receive.add_argument("--seconds", type=number, metavar="S", help="stop after this time (Ctrl-C)")
-    receive.set_defaults(run=run_receive)
+    receive.set_defaults(run=_run_receive)
 
 
-def run_receive(options: Options) -> int:
+def _run_receive(options: Options) -> int:
     """Run `facemime receive`: record, or make a shared key; returns the exit status."""
     if options["new_key"] is not None:
         write_key(options["new_key"])
@@ -106,7 +104,7 @@ def run_receive(options: Options) -> int:
     return record(_job(options))
 
 
-def _job(options: Options) -> ReceiveJob:
+def _job(options: Options) -> _ReceiveJob:
     outputs, senders = options["output"] or (), options["sender"]
     if not outputs and not options["watch"]:
         raise OutputError("There is no output. Add -o TAKE.facetake, or --watch to only see the values.")
@@ -116,7 +114,7 @@ def _job(options: Options) -> ReceiveJob:
     if unknown := set(flip) - set(AXES):
         raise FacemimeError("{unknown} cannot be flipped. Use pitch, yaw and roll.", unknown=", ".join(sorted(unknown)))
     host, port = parse_address(options["listen"] or LOOPBACK)
-    return ReceiveJob(
+    return _ReceiveJob(
         filled(
             StreamSettings,
             {name: value for name, value in options.items() if name != "sender"},
@@ -132,7 +130,7 @@ def _job(options: Options) -> ReceiveJob:
     )
 
 
-def record(job: ReceiveJob) -> int:
+def record(job: _ReceiveJob) -> int:
     """Record until a signal, or the time is over; returns the exit status.
 
     Raises
@@ -161,7 +159,7 @@ def record(job: ReceiveJob) -> int:
     return 0
 
 
-def _record(source: StreamSource, paths: Sequence[Path], job: ReceiveJob) -> list[int]:
+def _record(source: StreamSource, paths: Sequence[Path], job: _ReceiveJob) -> list[int]:
     """Record what comes into a take for each sender, if there are takes; returns the numbers of frames."""
     progress = Progress(f"Receiving {source.name}")
     end = monotonic() + (job.seconds if job.seconds is not None else float("inf"))

@@ -17,23 +17,13 @@ from ..core.heads.regions import REGIONS
 from ..core.heads.rig import HeadRig, built_in_head
 from ..core.puppet.job import HeadFile
 from ..core.takes.neutral import calibrate
-from .terminal.blender import importing_blender
-from .terminal.console import say, tell
-from .terminal.options import (
-    Commands,
-    add_command,
-    add_neutral_option,
-    add_preset_option,
-    add_settings,
-    filled,
-    head_file,
-)
-from .terminal.outputs import outputs_of
-from .terminal.takes import load_with_warnings
+from .console import say, tell
+from .job_files import importing_blender, load_with_warnings, outputs_of
+from .options import Commands, add_command, add_neutral_option, add_preset_option, add_settings, filled, head_file
 
 
 @dataclass(frozen=True)
-class SelectJob:
+class _SelectJob:
     """Control points to select.
 
     Attributes
@@ -80,10 +70,10 @@ def add_commands(commands: Commands) -> None:
     ):
         select.add_argument(option, type=parse_landmarks, default=(), metavar=example, help=text)
     add_neutral_option(select)
-    select.set_defaults(run=lambda given: run_select(filled(SelectJob, given)))
+    select.set_defaults(run=lambda given: _run_select(filled(_SelectJob, given)))
 
 
-def run_select(job: SelectJob) -> int:
+def _run_select(job: _SelectJob) -> int:
     """Run `facemime select`: choose control points, and print a line per step; returns the exit status."""
     inputs = {"the take that is read": job.take, "the file of the head": None if job.head is None else job.head.path}
     with outputs_of(((job.output, {".json"}),), inputs):
@@ -118,7 +108,7 @@ def _rig_of(head: HeadFile) -> HeadRig:
     """
     with importing_blender("select --head", "select ..."):
         from ..blender.rigs import read_rig
-        from .puppet.files import open_head
+        from .character_files import open_head
     return read_rig(open_head(head))
 
 

@@ -30,11 +30,9 @@ from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
-from .terminal.blender import importing_blender
-from .terminal.console import tell
-from .terminal.options import Commands, add_command, add_output, add_settings, filled, head_file, number
-from .terminal.outputs import outputs_of
-from .terminal.takes import load_with_warnings
+from .console import tell
+from .job_files import importing_blender, load_with_warnings, outputs_of
+from .options import Commands, add_command, add_output, add_settings, filled, head_file, number
 
 Span = tuple[float, float]
 """Start and end in seconds, infinite if they were omitted."""
@@ -42,7 +40,7 @@ _EVERYTHING: Span = (-math.inf, math.inf)
 
 
 @dataclass(frozen=True)
-class MendJob:
+class _MendJob:
     """A take to mend.
 
     Attributes
@@ -131,7 +129,7 @@ def add_commands(commands: Commands) -> None:
     mend.add_argument("--rate", type=float, metavar="FPS", help="resample to an even rate")
     mend.add_argument("--anonymous", action="store_true", help="remove names, dates and the shape of the face")
     mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="also draw the motion before and after")
-    mend.set_defaults(run=lambda given: run_mend(filled(MendJob, given)))
+    mend.set_defaults(run=lambda given: _run_mend(filled(_MendJob, given)))
 
     export = add_command(commands, "export", "write a take as a CSV table")
     export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
@@ -145,7 +143,7 @@ def add_commands(commands: Commands) -> None:
     export.add_argument(
         "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
     )
-    export.set_defaults(run=lambda given: run_export(*(given[name] for name in ("take", "output", "columns", "rate"))))
+    export.set_defaults(run=lambda given: _run_export(*(given[name] for name in ("take", "output", "columns", "rate"))))
 
     read = add_command(commands, "import", "write a recording of another program or an animation as a take")
     read.add_argument(
@@ -164,10 +162,10 @@ def add_commands(commands: Commands) -> None:
         default=AUTOMATIC,
         help="unit of the rotation of the head in a table (decided by its values)",
     )
-    read.set_defaults(run=lambda given: run_import(*(given[name] for name in ("source", "output", "clip", "angles"))))
+    read.set_defaults(run=lambda given: _run_import(*(given[name] for name in ("source", "output", "clip", "angles"))))
 
 
-def run_mend(job: MendJob) -> int:
+def _run_mend(job: _MendJob) -> int:
     """Run `facemime mend`: mend a take; returns the exit status."""
     outputs = ((job.output, {SUFFIX}), (job.figure, {".png", ".jpg"}))
     inputs = {"the take that is mended": job.take, "the take that is inserted": job.punch_in}
@@ -182,7 +180,7 @@ def run_mend(job: MendJob) -> int:
     return 0
 
 
-def _mended(take: Take, job: MendJob) -> Take:
+def _mended(take: Take, job: _MendJob) -> Take:
     if job.at is not None and job.punch_in is None:
         raise FacemimeError("--at needs another take to insert. Add --punch-in.")
     if job.mending.cutoffs and job.mending.smoothing != "zero-phase":
@@ -203,7 +201,7 @@ def _mended(take: Take, job: MendJob) -> Take:
     return anonymise(take) if job.anonymous else take
 
 
-def run_export(take: Path, output: Path, columns: str, rate: float) -> int:
+def _run_export(take: Path, output: Path, columns: str, rate: float) -> int:
     """Run `facemime export`: write a take as a table; returns the exit status.
 
     Parameters
@@ -241,7 +239,7 @@ def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bo
     write_coefficient_csv(output, seen.times, values, turns, np.array(eyes), live_link=live_link, rate=rate)
 
 
-def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUTOMATIC) -> int:
+def _run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUTOMATIC) -> int:
     """Run `facemime import`: write a recording, or the motion of a face in an animation, as a take.
 
     Parameters
@@ -270,7 +268,7 @@ def run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUT
 
 def _sampled(animation: HeadFile, clip: str) -> Take:
     with importing_blender("An animation", "import ..."):
-        from .puppet.character import sample
+        from .character import sample
     return sample(animation, clip)
 
 

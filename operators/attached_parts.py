@@ -10,11 +10,10 @@ from collections.abc import Callable
 
 import bpy
 
-from ..blender.contexts import in_a_window
+from ..blender.contexts import in_a_window, push_undo
 from ..blender.heads import attached
 from ..blender.registering import watch
 from ..blender.stubs import OperatorResult
-from ..blender.undo import push_undo
 from ..sessions.session import Session
 
 _STEPS = ("Delete", "Duplicate Objects", "Duplicate Linked", "Append", "Link", "Paste Objects", "Add Parts")
@@ -47,11 +46,11 @@ class _FinishesParts:
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
         """Finish it."""
-        finish_parts()
+        _finish_parts()
         return {"FINISHED"}
 
 
-def finish_parts() -> None:
+def _finish_parts() -> None:
     """Finish what deleting, linking or duplicating heads has left undone, without an undo step."""
     attached.finish(attached.unfinished(), _Watch.known)
     _Watch.known = _present()
@@ -71,7 +70,7 @@ def attend() -> float | None:
             if bpy.ops.ed.undo.poll():  # type: ignore[call-arg]  # the stubs have a class instead of its instance
                 _operator()("EXEC_DEFAULT", True)
             else:  # there is no step before the user's, which Blender needs to replace it
-                finish_parts()
+                _finish_parts()
                 push_undo("Add Parts")
     else:
         _Watch.known = _present()

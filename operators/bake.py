@@ -1,22 +1,26 @@
-"""Operators that bake the selected take, and edit the key mapping for existing shape keys."""
+"""Operators that bake the selected take, add its sound and video, and edit the key mapping."""
+
+from pathlib import Path
 
 import bpy
 import numpy as np
 from bpy.props import StringProperty
 
+from ..blender.animation.conflicts import mute_under, playing_under
 from ..blender.animation.puppet import puppet_heads
-from ..blender.animation.underneath import mute_under, playing_under
 from ..blender.meshes import can_be_driven, key_names, keys_of
-from ..blender.timeline import frames_of
+from ..blender.reference import add_reference, add_sound
+from ..blender.stubs import OperatorResult
+from ..blender.timeline import frames_of, rate_of
 from ..core.bake.arkit import arkit_coefficients
 from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files.writing import replacing
+from ..core.media.media_starts import sound_lead
 from ..core.takes.neutral import calibrate
 from ..sessions.session import Session
 from ..settings import takes_store
-from ..settings.bake_table import read_table, write_table
-from ..settings.takes_properties import FacemimeBake
+from ..settings.takes_properties import FacemimeBake, read_table, write_table
 from ..settings.values import bake_settings, drive_settings, place_take, pose_targets, puppet_settings, take_start
 from .shared import (
     AsksForFile,
@@ -224,6 +228,66 @@ def _poses(bake: FacemimeBake) -> list[KeyPose]:
     return poses
 
 
+class _OnTakesVideo(AsksForFile, OnTake):
+    """Mixin: uses the video that the selected take was tracked from, and asks for it if it cannot be found."""
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask for the file if the video cannot be found."""
+        if takes_store.video_of(context.scene, takes_store.chosen(context.scene)) is not None:
+            return self.execute(context)
+        return super().invoke(context, event)
+
+    def video(self, scene: bpy.types.Scene) -> tuple[Path, float]:
+        """Return the file, and the time in it at which the take's time is 0, seconds.
+
+        Raises
+        ------
+        SourceError
+            If the video cannot be found and no file was chosen.
+        """
+        line = takes_store.chosen(scene)
+        path = self.path if self.filepath else takes_store.video_of(scene, line)
+        if path is None:
+            raise SourceError("The video of the take cannot be found. Choose the file.")
+        return path, float(takes_store.read(line).info.get("offset", 0.0))
+
+
+class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
+    """Add the sound of the take's video, or a sound file next to it, to the Sequencer in sync with the take"""
+
+    bl_idname = "facemime.add_sound"
+    bl_label = "Add Sound"
+
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
+
+    def work(self, context: bpy.types.Context) -> None:
+        scene = context.scene
+        path, offset = self.video(scene)
+        sound = path if self.filepath else takes_store.sound_beside(path)
+        add_sound(scene, sound, take_start(scene) - (offset + sound_lead(sound)) * rate_of(scene))
+        if scene.sync_mode != "AUDIO_SYNC":
+            scene.sync_mode = "AUDIO_SYNC"
+            report(self, "The playback of the scene is now synced to its sound")
+
+
+class FACEMIME_OT_add_reference(_OnTakesVideo, bpy.types.Operator):
+    """Show the take's video next to the active head, in sync with the take"""
+
+    bl_idname = "facemime.add_reference"
+    bl_label = "Add Reference"
+
+    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a head and a take."""
+        return require_heads(cls, context) and super().poll(context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        scene = context.scene
+        add_reference(scene, *self.video(scene), heads_in(context)[0], take_start(scene))
+
+
 CLASSES = (
     FACEMIME_OT_bake_take,
     FACEMIME_OT_mute_others,
@@ -234,4 +298,6 @@ CLASSES = (
     FACEMIME_OT_export_key_map,
     FACEMIME_OT_add_key_pose,
     FACEMIME_OT_learn_key_map,
+    FACEMIME_OT_add_sound,
+    FACEMIME_OT_add_reference,
 )

@@ -5,7 +5,7 @@ from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..blender.messages import tooltip
 from ..blender.stubs import OperatorResult
-from ..sessions.countdown import COUNTDOWN
+from ..sessions.calibrating import COUNTDOWN
 from ..settings.performers import (
     add_performer,
     clear_file,
@@ -53,7 +53,6 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
 
     bl_idname = "facemime.reset_calibration"
     bl_label = "Reset Calibration"
-    bl_options = {"REGISTER", "UNDO"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

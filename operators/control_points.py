@@ -5,7 +5,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
-from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
+from ..blender.heads.placing import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, mesh_of, read_selection, write_selection
 from ..blender.rigs import read_rig
 from ..blender.stubs import OperatorResult
@@ -26,7 +26,7 @@ from .shared import AsksForFile, OnHead, OnMesh, report, require, required_subje
 
 
 @with_settings(SelectionSettings)
-class SelectsPoints(OnMesh):
+class _SelectsPoints(OnMesh):
     """Mixin: selects control points for the operator's `performance`."""
 
     add: StringProperty(name="Add", description="Landmarks that are always selected, by iBUG number, such as 17,19-21")
@@ -67,7 +67,7 @@ class SelectsPoints(OnMesh):
         )
 
 
-class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Operator):
+class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.Operator):
     """Select the landmarks that control the active head in a take; the others follow them"""
 
     bl_idname = "facemime.select_control_points"
@@ -92,7 +92,7 @@ class FACEMIME_OT_select_control_points(AsksForFile, SelectsPoints, bpy.types.Op
         return take, calibrate(take, puppet_settings(context.scene.facemime).neutral)
 
 
-class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
+class FACEMIME_OT_select_live_points(_SelectsPoints, bpy.types.Operator):
     """Select the control points from the last seconds of the puppet; make varied expressions for a few seconds first"""
 
     bl_idname = "facemime.select_live_points"
@@ -111,7 +111,7 @@ class FACEMIME_OT_select_live_points(SelectsPoints, bpy.types.Operator):
         return worker.recent_take(), worker.neutral
 
 
-class OnLandmark(OnHead):
+class _OnLandmark(OnHead):
     """Mixin: requires a landmark selected in the panel."""
 
     @classmethod
@@ -121,7 +121,7 @@ class OnLandmark(OnHead):
         return super().poll(context) and require(cls, selected, "Select a landmark in the list or on the head first")
 
 
-class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
+class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
     """Make the selected landmark a control point"""
 
     bl_idname = "facemime.add_control_point"
@@ -135,7 +135,7 @@ class FACEMIME_OT_add_control_point(OnLandmark, bpy.types.Operator):
         write_selection(mesh, add_by_hand(selection, context.scene.facemime_steps.landmark))
 
 
-class FACEMIME_OT_drop_control_point(OnLandmark, bpy.types.Operator):
+class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
     """Remove the selected landmark from the control points, so that it follows the others"""
 
     bl_idname = "facemime.drop_control_point"

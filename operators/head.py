@@ -1,15 +1,25 @@
-"""Operator that adds a built-in head."""
+"""Operators that add a built-in head, import FaceGen heads, and export heads for other programs."""
 
 from collections.abc import Generator
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import BoolProperty, EnumProperty
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
-from ..blender.heads.built_in import add_head
-from ..blender.placement import free_place
+from ..blender.animation.exporting import SUFFIX, export_gltf
+from ..blender.heads.new_heads import MILLIMETRE, add_head, import_facegen
+from ..blender.meshes import keys_of, mesh_of
+from ..blender.view_layers import free_place
 from ..sessions.session import Session
-from .shared import require_object_mode
+from .shared import (
+    AsksForFile,
+    AsksForFileToWrite,
+    heads_in,
+    report,
+    require_heads,
+    require_no_session,
+    require_object_mode,
+)
 from .steps import WorksInSteps
 
 
@@ -71,4 +81,49 @@ def _frame_selected(context: bpy.types.Context) -> None:
             bpy.ops.view3d.view_selected()
 
 
-CLASSES = (FACEMIME_OT_add_head,)
+class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
+    """Import a FaceGen head: a .tri file with its morphs and the .egm file next to it, or an OBJ file"""
+
+    bl_idname = "facemime.import_facegen"
+    bl_label = "FaceGen Head (.tri, .obj)"
+
+    filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
+    scale: FloatProperty(name="Scale", description="Metres per unit of the file", default=MILLIMETRE, min=1e-6)
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require Object Mode."""
+        return require_object_mode(cls, context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Import the head."""
+        obj = import_facegen(context, self.path, self.scale)
+        keys = 0 if mesh_of(obj).shape_keys is None else len(keys_of(obj).key_blocks) - 1
+        report(self, "{vertices} vertices, {keys} morphs", vertices=len(mesh_of(obj).vertices), keys=keys)
+
+
+class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
+    """Export the selected heads as glTF, with parts, bones, shape keys, and the frame range as one animation"""
+
+    bl_idname = "facemime.export_gltf"
+    bl_label = "Export glTF"
+
+    filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require Object Mode, a head, and that no puppet moves it."""
+        return require_object_mode(cls, context) and require_no_session(cls) and require_heads(cls, context)
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Write the file."""
+        path = self.path_ending(SUFFIX)
+        export_gltf(heads_in(context), path)
+        report(self, "Written to {path}", path=path)
+
+
+CLASSES = (
+    FACEMIME_OT_add_head,
+    FACEMIME_OT_import_facegen,
+    FACEMIME_OT_export_gltf,
+)

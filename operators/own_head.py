@@ -8,7 +8,6 @@ from bpy.props import EnumProperty, IntProperty
 from mathutils import Matrix
 
 from ..blender.characters import read_bones
-from ..blender.collections import show
 from ..blender.heads.binding import (
     check_object,
     move_landmark,
@@ -21,14 +20,13 @@ from ..blender.heads.binding import (
     write_marks,
 )
 from ..blender.heads.binding_undo import FormerBinding
-from ..blender.heads.eyes import open_eyes
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
-from ..blender.heads.lips import open_lips
-from ..blender.media.preview_scene import face_points, look_at_face
+from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.meshes import mesh_of, read_places
 from ..blender.messages import translated
-from ..blender.placement import select_alone
+from ..blender.preview_scene import face_points, look_at_face
+from ..blender.view_layers import select_alone, show
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
 from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
@@ -52,7 +50,7 @@ _CHECK_PANEL = "FACEMIME_PT_check"
 """The popup that shows the result of a check; it is in `ui`, which imports the operators."""
 
 
-def report_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
+def _report_findings(operator: bpy.types.Operator, context: bpy.types.Context) -> bool:
     """Check the active head, report the problems and show them in the panels; return whether there are any."""
     findings = check_object(subject(context))
     keep_findings(context.window_manager, required_subject(context).name, findings)
@@ -171,7 +169,7 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
         if binding.body and not read_bones(required_subject(context))[1].head:
             report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
-        report_findings(self, context)
+        _report_findings(self, context)
 
 
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
@@ -212,7 +210,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     bl_options = {"REGISTER"}
 
     def work(self, context: bpy.types.Context) -> None:
-        if not report_findings(self, context):
+        if not _report_findings(self, context):
             report(self, "{name} is ready to be driven", name=required_subject(context).name)
         if not bpy.app.background and context.window is not None:
             bpy.ops.wm.call_panel("INVOKE_DEFAULT", name=_CHECK_PANEL, keep_open=True)
@@ -227,7 +225,7 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         count = open_lips(subject(context))
         report(self, "{count} edges cut between the lips, and a dark pocket added behind them", count=count)
-        report_findings(self, context)
+        _report_findings(self, context)
 
 
 class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
@@ -244,7 +242,7 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
             "and find the face again",
             count=count,
         )
-        report_findings(self, context)
+        _report_findings(self, context)
 
 
 CLASSES = (

@@ -1,4 +1,4 @@
-"""Operators that change the parts of a character, and the bones that follow the pose of its head and eyes."""
+"""Operators that change the parts and regions of a character, and the bones that follow the pose of its head."""
 
 from collections.abc import Generator
 from dataclasses import replace
@@ -6,15 +6,15 @@ from dataclasses import replace
 import bpy
 import numpy as np
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import BoolProperty, EnumProperty, StringProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
-from ..blender.armatures import posed_bones
 from ..blender.characters import read_bones, read_kinds, set_part, write_bones
 from ..blender.heads.binding import propose_head_regions
 from ..blender.heads.expression_keys import making_expression_keys
 from ..blender.heads.family import armature_of
+from ..blender.heads.painting import mirror_painted, paint_region, smooth_painted
 from ..blender.heads.parts import forget_parts, sort_again
-from ..blender.meshes import is_head, mesh_of
+from ..blender.meshes import is_head, mesh_of, posed_bones
 from ..blender.names import HEAD_PROPERTY
 from ..blender.stubs import OperatorResult
 from ..core.errors import HeadError, SourceError, messages
@@ -23,7 +23,7 @@ from ..core.keys.key_sets import KEY_SETS
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store
-from .shared import InObjectMode, OnHead, ReportsErrors, report, required_subject, subject
+from .shared import InObjectMode, OnHead, ReportsErrors, report, require, required_subject, subject
 from .steps import WorksInSteps, in_background
 
 _DESCRIPTIONS = messages(
@@ -209,6 +209,69 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
         return takes
 
 
+class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
+    """Paint the weights of this region on the active head"""
+
+    bl_idname = "facemime.paint_region"
+    bl_label = "Paint Region"
+
+    region: EnumProperty(
+        name="Region",
+        items=(
+            ("UPPER", "Upper", "Brows and upper eyelids"),
+            ("MIDDLE", "Middle", "Lower eyelids, cheeks, nose and upper lip"),
+            ("LOWER", "Lower", "Lower lip, chin and jaw"),
+        ),
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        paint_region(context, required_subject(context), ("UPPER", "MIDDLE", "LOWER").index(self.region))
+
+
+class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
+    """Return to Object Mode"""
+
+    bl_idname = "facemime.leave_painting"
+    bl_label = "Finish Painting"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require Weight Paint Mode."""
+        return require(cls, context.mode == "PAINT_WEIGHT", "Only available in Weight Paint Mode")
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Switch to Object Mode."""
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
+    """Mirror the regions of one half of the face to the other"""
+
+    bl_idname = "facemime.mirror_regions"
+    bl_label = "Mirror Regions"
+
+    source: EnumProperty(
+        name="Direction",
+        description="Direction in which the regions are copied; left and right are the head's own",
+        items=(("left", "Left to Right", ""), ("right", "Right to Left", "")),
+    )
+
+    def work(self, context: bpy.types.Context) -> None:
+        mirror_painted(required_subject(context), "left" if self.source == "left" else "right")
+
+
+class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
+    """Smooth the borders of the regions, except between the lips and between the eyelids"""
+
+    bl_idname = "facemime.smooth_regions"
+    bl_label = "Smooth Borders"
+
+    repeat: IntProperty(name="Repeat", default=3, min=1, max=50)
+
+    def work(self, context: bpy.types.Context) -> None:
+        smooth_painted(required_subject(context), self.repeat)
+
+
 CLASSES = (
     FACEMIME_OT_set_part,
     FACEMIME_OT_add_part,
@@ -216,4 +279,8 @@ CLASSES = (
     FACEMIME_OT_find_parts,
     FACEMIME_OT_set_bone,
     FACEMIME_OT_make_expression_keys,
+    FACEMIME_OT_paint_region,
+    FACEMIME_OT_leave_painting,
+    FACEMIME_OT_mirror_regions,
+    FACEMIME_OT_smooth_regions,
 )

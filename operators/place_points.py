@@ -11,8 +11,7 @@ from bpy.props import StringProperty
 from ..blender.contexts import in_a_window
 from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.face_display import FaceDisplay
-from ..blender.heads.landmark_places import NEAR, landmark_places, nearest_landmark
-from ..blender.heads.placing import Placing, marks_to_ask, skin_under
+from ..blender.heads.placing import NEAR, Placing, landmark_places, marks_to_ask, nearest_landmark, skin_under
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import Viewport, redraw, viewport_under
 from ..core.binding.bind import MIN_MARKS
@@ -52,7 +51,7 @@ def _take_back(former: FormerBinding, alone: bool) -> None:
         bpy.ops.view3d.localview(frame_selected=False)
 
 
-class PlacesPoints(ReportsErrors):
+class _PlacesPoints(ReportsErrors):
     """Mixin: a modal operator that places points on the active mesh until Enter or Esc; the view can be turned.
 
     It also ends, and keeps the points, as soon as the mesh is changed or a puppet is started.
@@ -144,7 +143,7 @@ def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: View
     return skin_under(required_subject(context), context.evaluated_depsgraph_get(), seen, pixel)
 
 
-class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
+class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
     """Drag landmarks to their places on the head; Enter accepts, Esc discards"""
 
     bl_idname = "facemime.adjust_landmarks"
@@ -183,7 +182,7 @@ class FACEMIME_OT_adjust_landmarks(PlacesPoints, OnHead, bpy.types.Operator):
             redraw(context)
 
 
-class FACEMIME_OT_mark_face(PlacesPoints, OnMesh, bpy.types.Operator):
+class FACEMIME_OT_mark_face(_PlacesPoints, OnMesh, bpy.types.Operator):
     """Click the requested points of the face one by one, then find the face from them"""
 
     bl_idname = "facemime.mark_face"
@@ -231,7 +230,7 @@ def _find_face() -> None:
             search("INVOKE_DEFAULT")
 
 
-class EndsPlacing(ReportsErrors):
+class _EndsPlacing(ReportsErrors):
     """Mixin: a button that ends the placing of points; the operator that waits for clicks then adds the undo step."""
 
     bl_options = {"INTERNAL"}
@@ -252,7 +251,7 @@ class EndsPlacing(ReportsErrors):
         redraw(context)
 
 
-class FACEMIME_OT_accept_points(EndsPlacing, bpy.types.Operator):
+class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
     """Keep the points as they are now"""
 
     bl_idname = "facemime.accept_points"
@@ -262,7 +261,7 @@ class FACEMIME_OT_accept_points(EndsPlacing, bpy.types.Operator):
         _keep(placing)
 
 
-class FACEMIME_OT_discard_points(EndsPlacing, bpy.types.Operator):
+class FACEMIME_OT_discard_points(_EndsPlacing, bpy.types.Operator):
     """Move the points back to where they were"""
 
     bl_idname = "facemime.discard_points"

@@ -1,6 +1,7 @@
 """Operators that puppet heads live from a camera, a video, images or a take."""
 
 import bpy
+from bpy.props import StringProperty
 
 from ..blender.animation.live import LiveHeadObject
 from ..blender.heads.face_display import FaceDisplay
@@ -11,10 +12,27 @@ from ..core.errors import FacemimeError
 from ..sessions.live import TICK, LiveSession
 from ..sessions.start import RigWatch, follow_settings, start_session
 from ..settings.panel_properties import keep_problem
+from ..settings.preferences import preferences
 from .preview_place import PreviewDrag
 from .shared import ReportsErrors, heads_in, report, require, require_heads, require_left_edit_mode, require_no_session
 
 _STATUS_INTERVAL = 0.25
+
+
+class FACEMIME_OT_choose_camera(bpy.types.Operator):
+    """Use this camera and save it in the preferences"""
+
+    bl_idname = "facemime.choose_camera"
+    bl_label = "Choose Camera"
+    bl_options = {"INTERNAL"}
+
+    camera: StringProperty(name="Camera")
+
+    def execute(self, context: bpy.types.Context) -> OperatorResult:
+        """Store the camera in the preferences."""
+        preferences().camera = self.camera
+        context.preferences.is_dirty = True
+        return {"FINISHED"}
 
 
 def running() -> LiveSession | None:
@@ -258,4 +276,9 @@ def _painting(context: bpy.types.Context) -> bool:
     )  # an operator that has just ended leaves None
 
 
-CLASSES = (FACEMIME_OT_puppet, FACEMIME_OT_stop_puppet, FACEMIME_OT_next_face)
+CLASSES = (
+    FACEMIME_OT_choose_camera,
+    FACEMIME_OT_puppet,
+    FACEMIME_OT_stop_puppet,
+    FACEMIME_OT_next_face,
+)

@@ -1,9 +1,12 @@
-"""Operators that edit the selected take. Each writes a new file; the previous one is kept."""
+"""Operators that edit the selected take, or record a range of it again.
+
+Each writes a new file; the previous one is kept.
+"""
 
 import math
 
 import bpy
-from bpy.props import EnumProperty, FloatProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..blender.stubs import OperatorResult
 from ..blender.timeline import frame_range, seconds_at, seconds_of
@@ -16,16 +19,17 @@ from ..core.takes.timing import punch_in, restart, shift_time, trim
 from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import take_start
+from .puppet import require_puppet, required_puppet
 from .shared import require
 from .takes import OnTake
 
-BLEND_PROPERTY = FloatProperty(
+_BLEND_PROPERTY = FloatProperty(
     name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=BLEND, min=0.0
 )
 """Property of the operators that insert a range into a take."""
 
 
-class AddsEditedTake(OnTake):
+class _AddsEditedTake(OnTake):
     """Mixin: shows a dialog, and adds the result of `changed` below the selected take, which is kept.
 
     Attributes
@@ -50,7 +54,7 @@ class AddsEditedTake(OnTake):
         takes_store.keep_beside(context.scene, edited, f"{line.name}_{self.suffix}")
 
 
-class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
+class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take that is trimmed to a range, and starts at the first frame"""
 
     bl_idname = "facemime.trim_take"
@@ -109,7 +113,7 @@ class FACEMIME_OT_trim_take(AddsEditedTake, bpy.types.Operator):
 
 
 @with_settings(REPAIR)
-class FACEMIME_OT_mend_take(AddsEditedTake, bpy.types.Operator):
+class FACEMIME_OT_mend_take(_AddsEditedTake, bpy.types.Operator):
     """Add a mended copy of the selected take: without outliers and gaps, smoothed without delay, or mirrored"""
 
     bl_idname = "facemime.mend_take"
@@ -132,7 +136,7 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
         takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(scene, take_start(scene))))
 
 
-class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
+class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take with another take inserted, blended at both ends"""
 
     bl_idname = "facemime.punch_in_take"
@@ -141,7 +145,7 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
 
     other: StringProperty(name="Take", description="Take to insert")
     start: FloatProperty(name="Start (s)", description="Time at which it is inserted, in seconds", min=0.0)
-    blend: BLEND_PROPERTY
+    blend: _BLEND_PROPERTY
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -173,4 +177,54 @@ class FACEMIME_OT_punch_in_take(AddsEditedTake, bpy.types.Operator):
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 
 
-CLASSES = (FACEMIME_OT_trim_take, FACEMIME_OT_mend_take, FACEMIME_OT_renew_neutral, FACEMIME_OT_punch_in_take)
+class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
+    """Re-record the selected take between two frames with pre-roll, blended at both ends"""
+
+    bl_idname = "facemime.rerecord_take"
+    bl_label = "Re-Record Range"
+    bl_options = {"REGISTER"}
+
+    start: IntProperty(name="Start", description="First frame of the range", default=1)
+    end: IntProperty(name="End", description="Last frame of the range", default=50)
+    lead: FloatProperty(
+        name="Pre-Roll",
+        description="Time played before the range",
+        subtype="TIME_ABSOLUTE",
+        default=2.0,
+        min=0.0,
+        max=30.0,
+    )
+    blend: _BLEND_PROPERTY
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require a running puppet and a take, and that no range is being re-recorded."""
+        return (
+            require_puppet(cls)
+            and require(cls, required_puppet().recorder.punch_in is None, "A range is already being re-recorded")
+            and super().poll(context)
+        )
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Ask for the range; by default the preview range, or two seconds from the current frame."""
+        scene = context.scene
+        self.start, self.end = scene.frame_current, scene.frame_current + round(2 * scene.render.fps)
+        if scene.use_preview_range:
+            self.start, self.end = scene.frame_preview_start, scene.frame_preview_end
+        return context.window_manager.invoke_props_dialog(self)
+
+    def work(self, context: bpy.types.Context) -> None:
+        scene = context.scene
+        start, end = (seconds_at(scene, frame, take_start(scene)) for frame in (self.start, self.end))
+        required_puppet().recorder.rerecord(
+            scene, takes_store.chosen(scene).path, start, end, lead=self.lead, blend=self.blend
+        )
+
+
+CLASSES = (
+    FACEMIME_OT_trim_take,
+    FACEMIME_OT_mend_take,
+    FACEMIME_OT_renew_neutral,
+    FACEMIME_OT_punch_in_take,
+    FACEMIME_OT_rerecord_take,
+)

@@ -17,7 +17,7 @@ from ..core.takes.from_video import VIDEO_CUT
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
-from ..sessions.countdown import COUNTDOWN
+from ..sessions.calibrating import COUNTDOWN
 from ..sessions.live import LiveSession
 from ..sessions.show import TakeShow
 from ..settings import takes_store

@@ -1,19 +1,125 @@
-"""Calibrations of a live session: those that are requested, and what it learns about the performer by itself."""
+"""Calibrations of a live session, and the countdown before them and before recordings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from time import perf_counter
+from typing import Any
 
-from ..blender.media.sounds import beep
-from ..core.errors import HeadError
+from ..core.errors import HeadError, messages
 from ..core.live.worker import LiveWorker
 from ..core.takes.neutral import Neutral
 from ..settings.preferences import preferences
-from .countdown import COUNTDOWN, Calibration
 
+COUNTDOWN = 3.0
+"""Seconds between the request for a calibration, or by default for a recording, and its start."""
+_TASKS = messages(
+    {
+        False: "Look straight at the camera, with a relaxed face and the mouth closed",
+        True: "Close the eyes tightly, and open the mouth wide",
+        None: "Get ready: the recording starts. Esc cancels",
+    }
+)
+"""Instructions for the performer, by whether the range of eyes and mouth is calibrated; None is before a recording."""
+_PITCH = 880.0
+"""Frequency of the tone, hertz."""
+_LENGTH = 0.2
+"""Length of the tone, seconds."""
+_FADE = 0.05
+"""Seconds in which it fades at the end."""
+_VOLUME = 0.3
 _KEEPING = 5.0
 """Seconds after which the learnt calibration is stored again: little is lost in a crash, and storing takes long."""
+
+
+class Calibration:
+    """A calibration that has been requested; it starts after a countdown.
+
+    Parameters
+    ----------
+    range_of : bool
+        Calibrate the range of eyes and mouth rather than the neutral face.
+    """
+
+    def __init__(self, worker: LiveWorker, *, range_of: bool, countdown: float) -> None:
+        self.range_of = range_of
+        self._worker, self._at = worker, perf_counter() + countdown
+        self._started = False
+        worker.quality = None
+
+    @property
+    def task(self) -> str:
+        """What the performer has to do."""
+        return _TASKS[self.range_of]
+
+    @property
+    def left(self) -> float:
+        """Seconds until it starts; 0 while it is running."""
+        return 0.0 if self._started else max(0.0, self._at - perf_counter())
+
+    def step(self) -> bool:
+        """Start the calibration when it is due, and return whether it has ended."""
+        if self._started:
+            return not self._worker.calibrating
+        if perf_counter() >= self._at:
+            self._started = True
+            self._worker.calibrate(range_of=self.range_of)
+        return False
+
+
+@dataclass(frozen=True)
+class DelayedRecording:
+    """A recording that has been requested.
+
+    Attributes
+    ----------
+    at : float
+        When it starts, seconds of `time.perf_counter`.
+    scene, name : str
+        As in `Recorder.start`.
+    """
+
+    at: float
+    scene: str
+    name: str
+
+    @property
+    def task(self) -> str:
+        """What the performer has to do."""
+        return _TASKS[None]
+
+    @property
+    def left(self) -> float:
+        """Seconds until it starts."""
+        return max(1e-3, self.at - perf_counter())
+
+    @property
+    def due(self) -> bool:
+        """Whether it has to start."""
+        return perf_counter() >= self.at
+
+
+class _Output:
+    """The audio device, which is opened once, and the sound that is played."""
+
+    device: Any = None
+    playing: Any = None
+
+
+def beep() -> bool:
+    """Play a short tone, and return whether there is an audio device for it."""
+    try:
+        import aud
+    except ImportError:  # Blender was built without it, as some of Debian's are
+        return False
+    try:
+        _Output.device = _Output.device or aud.Device()
+        tone = aud.Sound.sine(_PITCH).limit(0.0, _LENGTH).fadeout(_LENGTH - _FADE, _FADE).volume(_VOLUME)
+        _Output.playing = _Output.device.play(tone)
+    except aud.error:  # type: ignore[misc]  # it is an exception
+        return False
+    return True
 
 
 class Calibrating:

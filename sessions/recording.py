@@ -18,9 +18,8 @@ from ..core.live.worker import LiveWorker
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.take import describe
 from ..core.tracking.result import TrackResult
-from ..settings.moved_files import beside
 from ..settings.preferences import preferences
-from ..settings.storage import free_path
+from ..settings.storage import beside, free_path
 from ..settings.takes_store import add, new_path
 
 

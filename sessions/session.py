@@ -12,9 +12,9 @@ from typing import Self
 import bpy
 
 from ..blender.animation.bake import pose_targets_of
+from ..blender.animation.conflicts import overruled, unseen
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
-from ..blender.animation.overruled import overruled, unseen
 from ..blender.registering import watch
 from ..core.errors import HeadError, Message
 

@@ -12,12 +12,12 @@ from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import names_of
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.scene_range import fit_range, outside_range
+from ..blender.contexts import push_undo
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import show_error
 from ..blender.registering import watch
 from ..blender.rigs import read_rig
 from ..blender.timeline import frames_of, seconds_of
-from ..blender.undo import push_undo
 from ..blender.viewports import redraw
 from ..core.drive.driver import HeadDriver
 from ..core.errors import FacemimeError, HeadError

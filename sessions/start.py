@@ -19,11 +19,11 @@ from ..core.live.worker import LiveOptions
 from ..core.streams.source import StreamSource
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings
-from ..settings.bake_table import read_table
 from ..settings.performers import read_calibration, write_calibration
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
 from ..settings.rna import read
+from ..settings.takes_properties import read_table
 from ..settings.values import (
     drive_settings,
     face_of,
@@ -32,8 +32,7 @@ from ..settings.values import (
     open_source,
     pose_targets,
 )
-from .live import LiveSession
-from .viewing import follow_viewer, open_vertices, open_viewer
+from .live import LiveSession, follow_viewer, open_vertices, open_viewer
 
 _SELF = ("CAMERA", "STREAM")
 """Kinds of sources that show the performer whose calibration is selected; a video may show anyone."""
@@ -89,7 +88,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         source,
         heads,
         neutral=neutral,
-        options=live_options(settings),
+        options=_live_options(settings),
         on_calibrated=keep_calibration,
         on_learnt=keep_calibration if live else None,
         output=output,
@@ -117,7 +116,7 @@ def _choose_senders(source: LiveSource, objects: Sequence[bpy.types.Object | Non
         source.chosen = tuple("" if obj is None else obj.facemime.sender.strip() for obj in objects)
 
 
-def live_options(settings: FacemimeSettings) -> LiveOptions:
+def _live_options(settings: FacemimeSettings) -> LiveOptions:
     """Return the options of the worker: smoothing, preview, and the face to track."""
     user = preferences()
     return LiveOptions(
@@ -149,7 +148,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
                 shown.drive_by(names_of(keys))
         session.update(heads)
     session.keep = settings.keep_pose
-    if worker.options != (wanted := live_options(settings)):
+    if worker.options != (wanted := _live_options(settings)):
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])

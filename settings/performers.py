@@ -93,10 +93,10 @@ def _before_saving(*_: object) -> None:
     for scene in bpy.data.scenes:
         # What a file had before there was this setting stays.
         if scene.library is None and scene.facemime.is_property_set("keep_calibrations"):
-            follow_keeping(scene.facemime)
+            _follow_keeping(scene.facemime)
 
 
-def follow_keeping(settings: FacemimeSettings) -> None:
+def _follow_keeping(settings: FacemimeSettings) -> None:
     """Store the calibrations of a scene in the file, or remove them from it, as its setting says.
 
     That is done before a file is saved, as a setting that calls a function makes Blender 4.2 crash when it quits.

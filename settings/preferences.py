@@ -4,7 +4,9 @@ import bpy
 from bpy.props import BoolProperty, FloatProperty, FloatVectorProperty, IntProperty, StringProperty
 
 from ..blender.messages import CONTEXT
-from .storage import EXTENSION
+
+EXTENSION = __package__.rpartition(".")[0]
+"""Name by which Blender knows the extension."""
 
 
 class FacemimePreferences(bpy.types.AddonPreferences):

@@ -25,7 +25,7 @@ def with_settings(*groups: Any) -> Callable[[Owner], Owner]:
 
     def decorate(owner: Owner) -> Owner:
         properties = {
-            name: property_of(setting if isinstance(group, type) else replace(setting, default=getattr(group, name)))
+            name: _property_of(setting if isinstance(group, type) else replace(setting, default=getattr(group, name)))
             for group in groups
             for name, setting in settings_of(group).items()
         }
@@ -35,7 +35,7 @@ def with_settings(*groups: Any) -> Callable[[Owner], Owner]:
     return decorate
 
 
-def property_of(setting: Setting) -> Any:
+def _property_of(setting: Setting) -> Any:
     """Return the Blender property of a setting, for an annotation."""
     texts: dict[str, Any] = {"name": setting.label, "description": setting.description}
     if setting.choices:

@@ -1,4 +1,4 @@
-"""Properties of a scene's takes, of their bake and of the key mapping; `takes_store.py` reads and writes the takes."""
+"""Properties of a scene's takes, of their bake and of the key mapping, which is also read as a `KeyMap`."""
 
 import bpy
 from bpy.props import (
@@ -13,6 +13,8 @@ from bpy.props import (
 
 from ..core.bake.arkit import COEFFICIENTS
 from ..core.bake.bake_settings import BakeSettings
+from ..core.bake.key_map import KeyMap, KeyRow
+from ..core.errors import FacemimeError
 from .rna import with_settings
 
 
@@ -83,6 +85,32 @@ class FacemimeTakes(bpy.types.PropertyGroup):
         default="AUTO",
     )
     bake: PointerProperty(type=FacemimeBake)
+
+
+def read_table(bake: FacemimeBake) -> KeyMap:
+    """Return the key mapping; raises FacemimeError if a row has no key."""
+    for number, row in enumerate(bake.rows, start=1):
+        if not row.key:
+            raise FacemimeError(
+                "Row {number} of the key mapping has no shape key. Choose one, or remove the row.", number=number
+            )
+    return table_so_far(bake)
+
+
+def table_so_far(bake: FacemimeBake) -> KeyMap:
+    """Return the key mapping without the rows that have no key yet."""
+    rows = (KeyRow(row.source, row.key, row.gain, row.offset) for row in bake.rows if row.key)
+    return KeyMap(bake.table or "Mapping", tuple(rows))
+
+
+def write_table(bake: FacemimeBake, table: KeyMap) -> None:
+    """Replace the rows and the name of the key mapping with those of `table`."""
+    bake.table = table.name
+    bake.rows.clear()
+    for row in table.rows:
+        line = bake.rows.add()
+        line.source, line.key, line.gain, line.offset = row.source, row.key, row.gain, row.offset
+    bake.row = 0
 
 
 CLASSES = (FacemimeTake, FacemimeKeyRow, FacemimeKeyPose, FacemimeBake, FacemimeTakes)

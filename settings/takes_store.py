@@ -15,8 +15,7 @@ from ..core.errors import FacemimeError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take, take_of
 from ..core.takes.format import NewerFormatError
 from ..core.takes.take import Take
-from .moved_files import TAKES, default_folder, located
-from .storage import free_path, project_folder, relative
+from .storage import TAKES, default_folder, free_path, located, project_folder, relative
 from .takes_properties import FacemimeTake
 
 _SOUNDS = (".wav", ".flac", ".mp3", ".ogg")

@@ -32,14 +32,20 @@ from ..core.takes.file import load_take
 from ..core.tracking.choice import LEFTMOST, RIGHTMOST
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import ViewerSettings
-from .bake_table import read_table
-from .pairing import listening_host, open_paired_sender
 from .preferences import preferences
-from .properties import FacemimePosing, FacemimeSettings, FacemimeSource
+from .properties import (
+    FacemimeOutput,
+    FacemimePosing,
+    FacemimeSettings,
+    FacemimeSource,
+    FacemimeStream,
+    FacemimeViewer,
+    listening_host,
+    open_paired_sender,
+)
 from .rna import read
 from .storage import private_folder, project_folder
-from .stream_properties import FacemimeOutput, FacemimeStream, FacemimeViewer
-from .takes_properties import FacemimeBake
+from .takes_properties import FacemimeBake, read_table
 
 if TYPE_CHECKING:
     from ..core.streams.transport.tls_server import TlsSender

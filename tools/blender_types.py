@@ -53,7 +53,7 @@ _POINTERS = {
     "bpy.types.Scene.facemime_steps": "facemime.settings.panel_properties.FacemimeSteps",
     "bpy.types.Scene.facemime_takes": "facemime.settings.takes_properties.FacemimeTakes",
     "bpy.types.WindowManager.facemime": "facemime.settings.panel_properties.FacemimeMemory",
-    "bpy.types.Object.facemime": "facemime.settings.stream_properties.FacemimeHead",
+    "bpy.types.Object.facemime": "facemime.settings.properties.FacemimeHead",
 }
 _KNOW_POINTERS = tuple(f"{_PACKAGE}{name}." for name in ("settings", "sessions", "operators", "ui", "cli"))
 _ALWAYS_THERE = {

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from facemime.cli.terminal.options import Parser, add_puppet_options
+from facemime.cli.options import Parser, add_puppet_options
 
 FARM = Path(__file__).resolve().parents[1] / "farm"
 _BLOCK = re.compile(

@@ -88,7 +88,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
     """Selection of control points, the curve of the error, and the list of landmarks."""
 
     bl_label = "Control Points"
-    bl_order = place(__name__)
+    bl_order = place("control_points")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

@@ -1,25 +1,118 @@
-"""Panel Puppet: live puppetry, the pose of head and eyes, and whole videos."""
+"""Panels Expression and Puppet, the latter with pose, streams, whole videos and the viewer in a browser."""
+
+from __future__ import annotations
 
 from pathlib import Path
 
 import bpy
+import bpy.utils.previews
+import numpy as np
 
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
+from ..core.puppet.built_in_presets import BUILT_IN
 from ..core.streams.stream_settings import OWN
+from ..core.viewer.qr import qr_code
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
-from ..settings.stream_properties import FacemimeOutput
+from ..settings import user_presets as presets
+from ..settings.properties import FacemimeOutput
 from ..settings.values import whole_file
 from .sidebar import Sidebar, is_narrow, labels, place, side_by_side, split_labels
 from .status import draw_progress, received, status_lines
+
+_MODULE = 8
+"""Pixels per module of the QR code."""
+
+
+class FACEMIME_MT_presets(bpy.types.Menu):
+    """Presets of Facemime, and your own"""
+
+    bl_label = "Presets"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the presets and the operators on them."""
+        layout, names = self.layout, presets.names()
+        for name, label in BUILT_IN.items():
+            button = layout.operator("facemime.load_preset", text=label)
+            button.name, button.built_in = name, True
+        layout.separator()
+        for name in names:
+            layout.operator("facemime.load_preset", text=name, translate=False).name = name
+        if names:
+            layout.separator()
+        layout.operator("facemime.save_preset", icon="ADD")
+        if names:
+            layout.menu("FACEMIME_MT_remove_preset", icon="REMOVE")
+        layout.separator()
+        layout.operator("facemime.import_preset", icon="IMPORT")
+        layout.operator("facemime.export_preset", icon="EXPORT")
+
+
+class FACEMIME_MT_remove_preset(bpy.types.Menu):
+    """Your presets, to remove one"""
+
+    bl_label = "Remove Preset"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the presets."""
+        for name in presets.names():
+            self.layout.operator("facemime.remove_preset", text=name, translate=False).name = name
+
+
+class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
+    """Strength of the regions, smoothing, depth and skin."""
+
+    bl_label = "Expression"
+    bl_order = place("expression")
+    header_icons = 1
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Draw the menu of presets in the header."""
+        Sidebar.draw_header_preset(self, context)
+        self.layout.menu("FACEMIME_MT_presets", text="", icon="PRESET")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        split_labels(layout)
+        settings = context.scene.facemime
+        column = layout.column(align=True)
+        column.prop(settings, "strength_upper", text="Brows", text_ctxt=CONTEXT)
+        column.prop(settings, "strength_middle", text="Cheeks", text_ctxt=CONTEXT)
+        column.prop(settings, "strength_lower", text="Jaw", text_ctxt=CONTEXT)
+        layout.prop(settings, "smoothing")
+        labels(layout, context, "How the skin moves. Start the puppet or preview a take to see what changes", "INFO")
+        layout.prop(settings, "mode")
+        layout.prop(settings, "kernel")
+        layout.prop(settings, "only_landmarks")
+
+
+class FACEMIME_PT_fit(Sidebar, bpy.types.Panel):
+    """How the skin is fitted to the landmarks."""
+
+    bl_label = "Fit"
+    bl_parent_id = "FACEMIME_PT_expression"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout = self.layout
+        split_labels(layout)
+        settings = context.scene.facemime
+        labels(layout, context, "For lids, lips and regions that do not meet. The defaults suit most heads", "INFO")
+        layout.prop(settings, "borders")
+        layout.prop(settings, "exact")
+        layout.prop(settings, "incremental")
+        row = layout.row()
+        row.active = settings.mode != "planar"
+        row.prop(settings, "contact")
 
 
 class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
     """How the heads follow the performer, and the status of the session."""
 
     bl_label = "Puppet"
-    bl_order = place(__name__)
+    bl_order = place("puppet")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -39,7 +132,6 @@ class FACEMIME_PT_pose(Sidebar, bpy.types.Panel):
 
     bl_label = "Head and Eyes"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -68,7 +160,6 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
 
     bl_label = "Send"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
     header_icons = 1
 
     def draw_header(self, context: bpy.types.Context) -> None:
@@ -113,7 +204,6 @@ class FACEMIME_PT_incoming(Sidebar, bpy.types.Panel):
 
     bl_label = "Incoming Values"
     bl_parent_id = "FACEMIME_PT_puppet"
-    bl_options = {"DEFAULT_CLOSED"}
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -137,7 +227,6 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
     bl_label = "Whole Video"
     bl_parent_id = "FACEMIME_PT_puppet"
     bl_order = 1
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -160,4 +249,81 @@ class FACEMIME_PT_bake(Sidebar, bpy.types.Panel):
         row.prop(settings, "neutral", text="At", text_ctxt=CONTEXT)
 
 
-CLASSES = (FACEMIME_PT_puppet, FACEMIME_PT_pose, FACEMIME_PT_send, FACEMIME_PT_incoming, FACEMIME_PT_bake)
+class _Icons:
+    """The QR code of the address that is served."""
+
+    previews: bpy.utils.previews.ImagePreviewCollection | None = None
+    address = ""
+
+
+class FACEMIME_PT_viewer(Sidebar, bpy.types.Panel):
+    """Whether the running puppet is shown in browsers, and at which address."""
+
+    bl_label = "Viewer"
+    bl_parent_id = "FACEMIME_PT_puppet"
+    header_icons = 1
+
+    def draw_header(self, context: bpy.types.Context) -> None:
+        """Draw the switch."""
+        self.layout.prop(context.scene.facemime.viewer, "enabled", text="")
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        layout, settings, session = self.layout, context.scene.facemime.viewer, running()
+        column = layout.column()
+        split_labels(column)
+        column.active = settings.enabled
+        column.prop(settings, "host")
+        column.prop(settings, "port")
+        column.prop(settings, "certificate")
+        column.prop(settings, "key")
+        row = side_by_side(layout, context)
+        row.operator("facemime.open_viewer", icon="URL")
+        row.operator("facemime.copy_viewer_address", icon="COPYDOWN")
+        server = None if session is None else session.displays.viewer
+        if server is None:
+            return
+        if server.message:
+            labels(layout, context, server.message, "ERROR")
+        layout.label(text=_("{count} viewers").format(count=server.viewers), icon="HIDE_OFF", translate=False)
+        if not server.settings.is_local:
+            layout.template_icon(_code(server.address), scale=8.0)
+
+
+def _code(address: str) -> int:
+    """Return the icon of the QR code of an address."""
+    previews = _Icons.previews
+    assert previews is not None, "made when the panel is registered"
+    if _Icons.address != address or "code" not in previews:
+        previews.clear()
+        icon = previews.new("code")
+        light = np.kron(~qr_code(address)[::-1], np.ones((_MODULE, _MODULE), dtype=np.float32))
+        icon.image_size = light.shape
+        icon.image_pixels_float = np.dstack([light, light, light, np.ones_like(light)]).ravel()  # type: ignore[assignment]  # an array
+        _Icons.address = address
+    return previews["code"].icon_id
+
+
+def register() -> None:
+    """Create the collection of icons."""
+    _Icons.previews, _Icons.address = bpy.utils.previews.new(), ""
+
+
+def unregister() -> None:
+    """Remove the collection of icons."""
+    bpy.utils.previews.remove(_Icons.previews)
+    _Icons.previews, _Icons.address = None, ""
+
+
+CLASSES = (
+    FACEMIME_MT_remove_preset,
+    FACEMIME_MT_presets,
+    FACEMIME_PT_expression,
+    FACEMIME_PT_fit,
+    FACEMIME_PT_puppet,
+    FACEMIME_PT_pose,
+    FACEMIME_PT_send,
+    FACEMIME_PT_incoming,
+    FACEMIME_PT_bake,
+    FACEMIME_PT_viewer,
+)

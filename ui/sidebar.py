@@ -12,13 +12,13 @@ from ..operators.shared import required_subject, subject
 from .documentation import draw_link
 from .drawing import wrap
 
-ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
-"""Modules of `ui` whose panels are in the tab, from top to bottom: the order of the workflow."""
+_ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
+"""The panels in the tab, from top to bottom: the order of the workflow."""
 
 
-def place(module: str) -> int:
-    """Return the `bl_order` of the panel in a module of `ui`, given its `__name__`."""
-    return ORDER.index(module.rpartition(".")[2])
+def place(panel: str) -> int:
+    """Return the `bl_order` of a panel."""
+    return _ORDER.index(panel)
 
 
 _NARROW = 220.0
@@ -49,9 +49,7 @@ class Sidebar(PanelMixin):
 
 
 class OnHead(Sidebar):
-    """Mixin: a panel that is shown while the active object is a head, and closed at first."""
-
-    bl_options = {"DEFAULT_CLOSED"}
+    """Mixin: a panel that is shown while the active object is a head."""
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

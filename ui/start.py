@@ -29,7 +29,7 @@ class FACEMIME_PT_start(Sidebar, bpy.types.Panel):
     """
 
     bl_label = "Start"
-    bl_order = place(__name__)
+    bl_order = place("start")
     bl_options = set()
 
     def draw(self, context: bpy.types.Context) -> None:

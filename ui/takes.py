@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..blender.animation.underneath import playing_under
+from ..blender.animation.conflicts import playing_under
 from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
@@ -11,8 +11,7 @@ from ..core.takes.timecodes import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
-from ..settings.bake_table import table_so_far
-from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake
+from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake, table_so_far
 from .sidebar import Sidebar, draw_list, labels, place, split_labels
 
 _MAPPED = "mapped"
@@ -67,8 +66,7 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
     """Recording, the list of takes, and their editing."""
 
     bl_label = "Takes"
-    bl_order = place(__name__)
-    bl_options = {"DEFAULT_CLOSED"}
+    bl_order = place("takes")
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""
@@ -166,7 +164,6 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
 
     bl_label = "Key Mapping"
     bl_parent_id = "FACEMIME_PT_takes"
-    bl_options = {"DEFAULT_CLOSED"}
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the panel."""

@@ -14,10 +14,9 @@ from typing import Any
 import bpy
 
 from ..actions import baked_paths
-from ..fcurves import action_name, curves_in, find_curve, owned_paths, slot_handle
+from ..fcurves import action_name, curves_in, find_curve, is_baked, owned_paths, slot_handle, tracks_of_bakes
 from ..names import ASIDE_PROPERTY
-from ..tracks import is_baked, tracks_of_bakes
-from .bake_cache import MODIFIER
+from .exporting import MODIFIER
 
 Item = list[Any]
 """Kind, what identifies the item, and for some kinds the values to restore; JSON."""

@@ -1,28 +1,113 @@
-"""Bakes of the pose of head, eyes, teeth and tongue, checks before a bake, and removal of earlier bakes."""
+"""Bakes of the pose of head, eyes, teeth and tongue, also in addition to the user's animation; checks before a bake,
+and removal of earlier ones.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ...core.drive.actions import TONGUE
 from ...core.drive.motion import HeadMotion
 from ...core.errors import HeadError, SourceError
+from ...core.numeric.arrays import FloatArray
 from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
-from ..characters import members_of
+from ..characters import members_of, own_rotation
+from ..fcurves import make_actions_own
 from ..meshes import keys_of, mesh_of
-from ..muting import Silenced
+from ..muting import Silenced, animated_paths, keyed_paths, strips_of
 from ..names import PART_PROPERTY, TONGUE_KEY
-from ..shared_actions import make_actions_own
-from .bake_cache import remove_cache
+from ..own_pose import own_mode, path_of, prefix_of, rotation_channel
 from .bake_keys import remove_baked_keys, require_relative, value_path
-from .placed import keep_axis_angles_moving, placements
-from .targets import PoseTarget, carried_targets
+from .exporting import remove_cache
+from .targets import Placement, PoseTarget, carried_targets, continuous_quaternions
+
+_CHANNELS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")
+
+
+def placements(
+    scene: bpy.types.Scene, targets: Sequence[PoseTarget], frames: NDArray[np.floating[Any]], *, keep: bool
+) -> list[Placement]:
+    """Return where the user's animation places some targets in some frames.
+
+    Parameters
+    ----------
+    scene : bpy.types.Scene
+        Its current frame is restored.
+    targets : sequence of PoseTarget
+    frames : (N,) array
+        Frames, which may be fractional.
+    keep : bool
+        Whether the poses of bones are added to their animation, instead of replacing it.
+    """
+    turned = [target.obj for target in targets if not target.bone and animated_paths(target.obj, _CHANNELS)]
+    added = [target for target in targets if (keep or not target.bone) and _is_added_by_angle(target)]
+    if not turned and not added:
+        return [Placement()] * len(targets)
+    rotations: list[list[NDArray[np.float64]]] = [[] for _ in turned]
+    angles: list[list[tuple[float, ...]]] = [[] for _ in added]
+    current = scene.frame_current, scene.frame_subframe
+    try:
+        for frame in frames:
+            whole = int(np.floor(frame))
+            scene.frame_set(whole, subframe=float(frame - whole))
+            for obj, found in zip(turned, rotations, strict=True):
+                found.append(np.array(own_rotation(obj)))
+            for target, values in zip(added, angles, strict=True):
+                values.append(tuple(getattr(target.owner, f"{prefix_of(target.owner)}rotation_euler")))
+    finally:
+        scene.frame_set(current[0], subframe=current[1])
+    return [
+        Placement(
+            np.array(rotations[turned.index(target.obj)]) if not target.bone and target.obj in turned else None,
+            np.array(angles[added.index(target)]) if target in added else None,
+        )
+        for target in targets
+    ]
+
+
+def _is_added_by_angle(target: PoseTarget) -> bool:
+    """Return whether animated Euler angles, to which Blender adds a bake angle by angle, rotate a target."""
+    path = f"{path_of(target.owner)}rotation_euler"
+    return rotation_channel(target.owner) == "rotation_euler" and path in keyed_paths(target.obj)
+
+
+def _keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, frames: NDArray[np.floating[Any]]) -> None:
+    """Animate the quaternion of a posed object as its user animates its axis and angle.
+
+    Blender has no delta rotation by axis and angle, so that such an object is posed as one with a quaternion. The
+    user's curves stay, and move the object again when the bake is removed.
+
+    Parameters
+    ----------
+    frames : (N,) array
+        Frames of the bake.
+    """
+    if own_mode(obj) != "AXIS_ANGLE":
+        return
+    every = np.arange(*_span(scene, obj, frames), dtype=np.float64)
+    (placed,) = placements(scene, [PoseTarget(obj)], every, keep=False)
+    if placed.rotations is not None:
+        values = continuous_quaternions([Matrix(one.tolist()).to_quaternion() for one in placed.rotations])
+        curves = [Curve("rotation_quaternion", i, column) for i, column in enumerate(values.T)]
+        write_curves(obj, f"{obj.name} Pose", every, curves)
+
+
+def _span(scene: bpy.types.Scene, obj: bpy.types.Object, frames: FloatArray) -> tuple[int, int]:
+    """Return the first frame, and the one after the last, of the scene, a bake and the animation of an object."""
+    data = obj.animation_data
+    ends = [scene.frame_start, scene.frame_end, frames[0], frames[-1]]
+    if data is not None and data.action is not None:
+        ends += data.action.frame_range[:]
+    ends += [end for strip in strips_of(obj) for end in (strip.frame_start, strip.frame_end)]
+    return int(np.floor(min(ends))), int(np.ceil(max(ends))) + 1
+
 
 JAW_PARTS = frozenset({"teeth_lower", "tongue"})
 EYE_PARTS = ("eye_right", "eye_left")
@@ -58,7 +143,7 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
             )
     for member in members_of(obj):
         _check_keys(member.obj, new=new_keys, old=old_keys)
-    for block in animated_owners(obj, targets):
+    for block in _animated_owners(obj, targets):
         check_curves(block)
 
 
@@ -152,7 +237,7 @@ def bake_pose(
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         add = keep or owner.type != "ARMATURE"
         silenced += write_curves(owner, name, frames, owned, nla=nla, add=add, leave_drivers=keep)
-        keep_axis_angles_moving(scene, owner, frames)
+        _keep_axis_angles_moving(scene, owner, frames)
     for child in filter(has_tongue, obj.children):
         curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
         name = f"{child.name} Expression"
@@ -160,7 +245,7 @@ def bake_pose(
     return silenced
 
 
-def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
+def _animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
     """Return all data-blocks that a bake or a session of a head may animate. Parameters are as for `check_bakeable`."""
     keys = [mesh_of(member.obj).shape_keys for member in members_of(obj)]
     keys += [mesh_of(child).shape_keys for child in filter(has_tongue, obj.children)]
@@ -173,7 +258,7 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
     An action that another character plays too is left to it. Parameters are as for `check_bakeable`.
     """
-    make_actions_own(animated_owners(obj, targets))
+    make_actions_own(_animated_owners(obj, targets))
     for member in members_of(obj):
         remove_baked_keys(member.obj)
         remove_cache(member.obj)

@@ -1,8 +1,13 @@
-"""Bakes to shape keys: new ones from a motion basis, or values of existing ones."""
+"""Bakes to shape keys: new ones from a motion basis, or values of existing ones; which keys drivers move, and the shape
+in which a character stands.
+
+Characters are often one mesh with keys for each person or age, whose values stay. What replaces the shape, or is
+compared with it, has to contain them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,11 +19,86 @@ from ...core.bake.basis import MotionBasis
 from ...core.bake.key_map import ESSENTIAL, best_preset
 from ...core.errors import HeadError
 from ..actions import Curve, remove_bake, remove_curves, write_curves
-from ..characters import Member, members_of
-from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of
-from ..muting import Silenced
+from ..characters import Member, head_of, members_of
+from ..frames import from_blender
+from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of, read_vertices
+from ..muting import Silenced, keyed_paths, varying_paths
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
-from .key_drivers import family_keys, following_paths
+
+_KEY_BLOCKS = "key_blocks["
+"""What the data path of a shape key contains, from its data-block, its mesh or its object."""
+
+
+def family_keys(members: Sequence[Member]) -> set[bpy.types.Key]:
+    """Return the data-blocks of the shape keys of a head."""
+    return {keys for member in members if (keys := mesh_of(member.obj).shape_keys) is not None}
+
+
+def following_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> set[str]:
+    """Return the data paths of shape keys of a mesh whose drivers make them follow keys of a head.
+
+    Lashes, brows and teeth often have the keys of the head, driven by these, and correctives depend on other keys.
+
+    Parameters
+    ----------
+    family : collection of bpy.types.Key
+        Of all meshes of the head.
+    """
+    return {driver.data_path for driver in _playing(keys) if _reads(driver, family)}
+
+
+def moved_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> set[str]:
+    """Return the data paths of shape keys of a mesh with drivers that follow something else that is animated, as bones.
+
+    Parameters are as for `following_paths`.
+    """
+    return {
+        driver.data_path
+        for driver in _playing(keys)
+        if not _reads(driver, family) and any(keyed_paths(target.id) for target in _targets(driver) if target.id)
+    }
+
+
+def _playing(keys: bpy.types.Key) -> list[bpy.types.FCurve]:
+    data = keys.animation_data
+    return [] if data is None else [driver for driver in data.drivers if not driver.mute]
+
+
+def _reads(driver: bpy.types.FCurve, family: Collection[bpy.types.Key]) -> bool:
+    return any(_KEY_BLOCKS in target.data_path and _keys_of(target.id) in family for target in _targets(driver))
+
+
+def _targets(driver: bpy.types.FCurve) -> list[bpy.types.DriverTarget]:
+    variables = () if driver.driver is None else driver.driver.variables
+    return [target for variable in variables for target in variable.targets]
+
+
+def _keys_of(block: bpy.types.ID | None) -> bpy.types.Key | None:
+    """Return the shape keys to which a path leads from their own data-block, their mesh or its object."""
+    if isinstance(block, bpy.types.Object):
+        block = block.data
+    return block if isinstance(block, bpy.types.Key) else getattr(block, "shape_keys", None)
+
+
+def standing_vertices(obj: bpy.types.Object, without: Collection[str] = ()) -> NDArray[np.float32]:
+    """Return the vertices of a mesh with the user's keys whose values do not change, (V, 3) in the head frame.
+
+    Parameters
+    ----------
+    obj : bpy.types.Object
+        A mesh of a head.
+    without : collection of str
+        Names of keys that do not count.
+    """
+    vertices, keys = read_vertices(mesh_of(obj)), mesh_of(obj).shape_keys
+    if keys is None or not keys.use_relative:
+        return vertices
+    moving = varying_paths(keys) | moved_paths(keys, family_keys(members_of(head_of(obj))) | {keys})
+    for name in key_names(obj):
+        block = keys.key_blocks[name]
+        if block.value and not block.mute and name not in without and value_path(name) not in moving:
+            vertices = vertices + np.float32(block.value) * from_blender(scaled_offsets(obj, block))
+    return np.asarray(vertices, dtype=np.float32)
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,74 @@
-"""What exporters leave out, made part of a file for as long as it is written.
+"""Files with the motion of heads: point caches, which the Mesh Cache modifier plays, Alembic, and glTF for browsers,
+engines and other programs. What exporters leave out is made part of a file for as long as it is written.
 
-Exporters take what is selected, and Blender selects nothing that is hidden, unselectable or in an excluded collection,
-without a word. That of glTF leaves out muted shape keys, and the vertex groups and relative keys of others.
+Exporters take what is selected, and Blender selects nothing that is hidden, unselectable or in an excluded
+collection, without a word. That of glTF leaves out muted shape keys, and the vertex groups and relative keys of
+others.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import contextlib
+import shutil
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from struct import Struct
+from typing import Any
 
 import bpy
 import numpy as np
+from numpy.typing import NDArray
 
-from ...core.errors import OutputError
-from ..collections import revealed, set_for_now
+from ...core.bake.point_cache import in_between, write_point_cache
+from ...core.drive.motion import HeadMotion
+from ...core.errors import HeadError, OutputError
+from ...core.files.writing import replacing
+from ..characters import Member, objects_of
+from ..frames import to_blender
+from ..heads.binding import CACHES
+from ..heads.family import armature_of, family_of
 from ..meshes import key_points, keys_of, mesh_of
 from ..muting import mute_for_now
-from .bake_keys import scaled_offsets, value_path
+from ..rendering import quiet
+from ..view_layers import revealed, set_for_now
+from .bake_keys import scaled_offsets, standing_vertices, value_path
+
+SUFFIX = ".glb"
+MODIFIER = "Facemime Cache"
+_ALEMBIC_BYTES = 24
+"""Maximum size of a vertex in a frame: its position and normal."""
+
+
+@contextmanager
+def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterator[str]:
+    """Yield the path for Blender to write to, without output; an existing file is replaced only by a complete one.
+
+    Parameters
+    ----------
+    is_complete : callable
+        Whether the file at a path has its end: Blender does not notice a disk that becomes full at the very end.
+
+    Raises
+    ------
+    OutputError
+        If it cannot be written.
+    """
+    with replacing(path) as temporary:
+        temporary.unlink()
+        try:
+            with quiet():
+                yield str(temporary.resolve())
+        except RuntimeError as error:
+            reason = str(error).strip().splitlines()[-1].removeprefix("Error: ")
+            reason = reason[:1].lower() + reason[1:]
+            raise OutputError(
+                "Cannot write {path}: {reason}. Choose another location for the output.", path=path, reason=reason
+            ) from error
+        if not temporary.exists() or not is_complete(temporary):
+            raise OutputError(
+                "Cannot write {path}: no space is left. Choose another location for the output.", path=path
+            )
 
 
 @contextmanager
@@ -95,3 +147,191 @@ def _write_offsets(stack: ExitStack, obj: bpy.types.Object) -> None:
     if limited:
         stack.callback(mesh_of(obj).update_tag)
         mesh_of(obj).update_tag()
+
+
+_HEADER = Struct("<4sII")
+"""Magic, version, and length of a binary glTF file."""
+
+
+def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
+    """Write heads with all parts, bones and shape keys as binary glTF, with the scene's frame range as one clip.
+
+    Parameters
+    ----------
+    heads : sequence of bpy.types.Object
+        Any meshes with landmarks; the other parts of their characters are included.
+    path : Path
+        The file to write; an existing one is replaced only by a complete one.
+
+    Raises
+    ------
+    HeadError
+        If the motion of a head is in a cache, which glTF cannot store, or the exporter is disabled.
+    OutputError
+        If the file cannot be written, or an object would be missing from it.
+    """
+    chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
+    for obj in chosen:
+        if any(modifier.type in CACHES for modifier in obj.modifiers):
+            raise HeadError(
+                "The motion of {name} is in a cache, which glTF cannot store. Bake to shape keys.", name=obj.name
+            )
+    if "gltf" not in dir(bpy.ops.export_scene):
+        raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
+    with selected_for_export(chosen), keys_as_shown(chosen), saved_by_blender(path, _is_complete) as temporary:
+        bpy.ops.export_scene.gltf(
+            filepath=temporary,
+            check_existing=False,
+            export_format="GLB",
+            use_selection=True,
+            use_active_scene=True,  # an object may be in further scenes, each with a selection of its own
+            # One clip: players show one at a time, and a face consists of the keys of several meshes.
+            export_animation_mode="SCENE",
+            export_anim_scene_split_object=False,
+            export_anim_slide_to_zero=True,
+            export_cameras=False,
+            export_lights=False,
+        )
+
+
+def _character(head: bpy.types.Object) -> Iterator[bpy.types.Object]:
+    """The meshes of a character, their ancestors, and their descendants."""
+    if (armature := armature_of(head)) is not None:
+        yield armature
+    for obj in (*family_of(head), *objects_of(head)):
+        yield from (obj, *(child for child in obj.children_recursive if child.type == "MESH"))
+        carrier = obj.parent
+        while carrier is not None:
+            yield carrier
+            carrier = carrier.parent
+
+
+def _is_complete(path: Path) -> bool:
+    """Whether a binary glTF file is as long as its header says."""
+    with path.open("rb") as file:
+        header = file.read(_HEADER.size)
+    return len(header) == _HEADER.size and _HEADER.unpack(header)[2] == path.stat().st_size
+
+
+def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np.floating[Any]], path: Path) -> None:
+    """Write every whole frame of a motion to a point cache for each mesh, and add Mesh Cache modifiers that play them.
+
+    A modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys.
+
+    Parameters
+    ----------
+    members : sequence of Member
+        Meshes of the head.
+    frames : (N,) array
+        Frames of the motion in the scene, which may be fractional.
+    path : Path
+        File to write for the head; those of other meshes also have their names.
+
+    Raises
+    ------
+    OutputError
+        If the file cannot be written.
+    """
+    for member in members:
+        own = path if member is members[0] else with_name_of(path, member.obj)
+        _bake_mesh(member, motion, frames, own)
+
+
+def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
+    """Return `path` with the name of `obj` added to the file's, for one of several objects.
+
+    Parameters
+    ----------
+    path : Path
+        Path of a cache.
+    """
+    return path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
+
+
+def _bake_mesh(member: Member, motion: HeadMotion, frames: NDArray[np.floating[Any]], path: Path) -> None:
+    obj = member.obj
+    rest = to_blender(standing_vertices(obj))
+    first, last = int(np.floor(frames[0] + 1e-3)), int(np.ceil(frames[-1] - 1e-3))
+
+    def samples() -> Iterator[NDArray[np.floating[Any]]]:
+        for frame in range(first, last + 1):
+            yield rest + member.local_offsets(in_between(frames, motion.vertices, frame))
+
+    write_point_cache(path, samples(), len(rest), first)
+    modifier = obj.modifiers.get(MODIFIER) or obj.modifiers.new(MODIFIER, "MESH_CACHE")
+    obj.modifiers.move(obj.modifiers.find(MODIFIER), 0)
+    assert isinstance(modifier, bpy.types.MeshCacheModifier)
+    modifier.cache_format = "PC2"
+    modifier.filepath = bpy.path.relpath(str(path.resolve())) if bpy.data.filepath else str(path.resolve())
+    modifier.frame_start = first
+    modifier.interpolation = "LINEAR"
+
+
+def remove_cache(obj: bpy.types.Object) -> None:
+    """Remove the cache modifier of `obj`; the file is kept."""
+    if (modifier := obj.modifiers.get(MODIFIER)) is not None:
+        obj.modifiers.remove(modifier)
+
+
+@contextlib.contextmanager
+def caches_beside(path: Path) -> Iterator[None]:
+    """Make the paths of caches in the folder of `path` relative while a copy of the file is saved there."""
+    modifiers = [
+        modifier
+        for obj in bpy.data.objects
+        if isinstance(modifier := obj.modifiers.get(MODIFIER), bpy.types.MeshCacheModifier)
+        and Path(bpy.path.abspath(modifier.filepath)).parent == path.resolve().parent
+    ]
+    before = [modifier.filepath for modifier in modifiers]
+    for modifier in modifiers:
+        modifier.filepath = f"//{Path(modifier.filepath).name}"
+    try:
+        yield
+    finally:
+        for modifier, filepath in zip(modifiers, before, strict=True):
+            modifier.filepath = filepath
+
+
+def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], path: Path) -> None:
+    """Export a head with its parts as Alembic.
+
+    Parameters
+    ----------
+    path : Path
+        File to write.
+
+    Raises
+    ------
+    OutputError
+        If this Blender does not support Alembic, or the file cannot be written.
+    """
+    if not getattr(bpy.app.build_options, "alembic", False):
+        raise OutputError("This Blender was built without Alembic. Bake to a mesh cache instead.")
+    vertices = sum(len(mesh_of(part).vertices) for part in objects if part.type == "MESH")
+    needed = _ALEMBIC_BYTES * vertices * (scene.frame_end - scene.frame_start + 1)
+    if shutil.disk_usage(path.parent).free < needed:  # Blender crashes when the disk is full
+        raise OutputError(
+            "Cannot write {path}: up to {needed:.0f} MB are needed. Free some disk space.",
+            path=path,
+            needed=needed / 1e6,
+        )
+    with replacing(path) as temporary, selected_for_export(objects):
+        try:
+            with quiet():
+                bpy.ops.wm.alembic_export(
+                    filepath=str(temporary.resolve()),
+                    check_existing=False,
+                    start=scene.frame_start,
+                    end=scene.frame_end,
+                    selected=True,
+                    evaluation_mode="VIEWPORT",
+                    as_background_job=False,
+                )
+        except RuntimeError as error:
+            raise OutputError(
+                "Blender could not write {path} ({error}). Choose another location.", path=path, error=error
+            ) from error
+        if temporary.stat().st_size == 0:
+            raise OutputError(
+                "Blender could not write {path}. Free some disk space, or choose another location.", path=path
+            )

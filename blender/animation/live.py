@@ -14,15 +14,15 @@ from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError, messages
 from ..characters import Member, members_of
 from ..contexts import scene_of
+from ..fcurves import make_actions_own
 from ..meshes import exists, keys_of, mesh_of
 from ..names import PART_PROPERTY
 from ..own_pose import move_own
-from ..shared_actions import make_actions_own
 from .aside import bake_of, moving, restore, set_aside, values_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
-from .key_drivers import family_keys, following_paths
+from .bake_keys import family_keys, following_paths
+from .live_keys import LiveValues
 from .live_mesh import LiveMesh, changed
-from .live_values import LiveValues
 from .targets import PoseTarget, carried_targets
 
 FlatMeshes = Sequence[NDArray[np.float32]]
@@ -226,7 +226,7 @@ class LiveHeadObject:
         keep : bool
             Whether to keep the pose and the live shape key; otherwise everything that still exists is restored.
         blocks : bool
-            Whether data-blocks may be removed; not allowed between two undo steps (`blender.undo`).
+            Whether data-blocks may be removed; not allowed between two undo steps (`blender.contexts`).
 
         Returns
         -------

@@ -1,15 +1,28 @@
-"""Shape keys of a head's own that drive it live."""
+"""Shape keys of a head's own during a session: which of them drive it live, and their values, which are restored at its
+end.
+
+The values themselves are set, rather than a shape that looks the same, so that the user's drivers, correctives and
+sliders follow. The values before are kept in a custom property of the data-block, and restored from there.
+"""
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
 import bpy
+import numpy as np
+from numpy.typing import NDArray
 
 from ...core.bake.key_map import KeyMap
 from ...core.errors import HeadError
 from ...core.live.key_driver import LiveKeys
 from ..characters import members_of
-from ..meshes import driven_by_keys
-from .bake_keys import has_known_set, read_keys
+from ..meshes import driven_by_keys, exists
+from ..names import VALUES_PROPERTY
+from .aside import moving, restore, set_aside
+from .bake_keys import has_known_set, read_keys, value_path
 from .puppet import table_for
 
 AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
@@ -48,3 +61,72 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
 def names_of(keys: LiveKeys | None) -> tuple[str, ...]:
     """Return the names of the shape keys that drive a head, in the order of `HeadFrame.keys`; () for its skin."""
     return () if keys is None else tuple(keys.offsets)
+
+
+class LiveValues:
+    """Shape keys of a mesh that display a performance.
+
+    Parameters
+    ----------
+    mesh : bpy.types.Mesh
+        A mesh with shape keys.
+    names : sequence of str
+        The driven keys of the head; those that the mesh does not have are left out.
+    following : set of str
+        Data paths of values with drivers that follow keys of the head, which are left alone.
+    """
+
+    def __init__(self, keys: bpy.types.Key, names: Sequence[str], following: set[str]) -> None:
+        self._keys = keys
+        blocks = self._keys.key_blocks
+        self._places = {
+            blocks.find(name): number
+            for number, name in enumerate(names)
+            if name in blocks and value_path(name) not in following
+        }
+        self._names = [names[number] for number in self._places.values()]
+
+    def attach(self) -> None:
+        """Remember the values, and set aside what animates or drives them."""
+        blocks = self._keys.key_blocks
+        if VALUES_PROPERTY not in self._keys:
+            self._keys[VALUES_PROPERTY] = json.dumps({name: blocks[name].value for name in self._names})
+        set_aside(self._keys, moving(self._keys, [value_path(name) for name in self._names]))
+
+    def write(self, values: NDArray[Any]) -> None:
+        """Set the values, (K,) in the order of the names."""
+        blocks = self._keys.key_blocks
+        every = np.empty(len(blocks), dtype=np.float32)
+        blocks.foreach_get("value", every)
+        wanted = every.copy()
+        for place, number in self._places.items():
+            wanted[place] = values[number]
+        if not np.array_equal(every, wanted):
+            blocks.foreach_set("value", wanted)
+            first = blocks[next(iter(self._places))]
+            first.value = first.value  # a bulk write does not update the scene
+
+    def detach(self, *, keep: bool) -> None:
+        """Restore the values, or leave them as they are if `keep`, and what was set aside."""
+        if not exists(self._keys):
+            return
+        if keep:
+            self._keys.pop(VALUES_PROPERTY, None)
+        clear_values(self._keys)
+        restore(self._keys)
+
+
+def clear_values(keys: bpy.types.Key) -> None:
+    """Restore the values that shape keys had before a session, even one that ended in a crash."""
+    for name, value in _kept(keys).items():
+        if (block := keys.key_blocks.get(name)) is not None:
+            block.value = value
+    keys.pop(VALUES_PROPERTY, None)
+
+
+def _kept(keys: bpy.types.Key) -> Mapping[str, float]:
+    try:
+        values = json.loads(str(keys.get(VALUES_PROPERTY, "{}")))
+    except ValueError:
+        return {}
+    return {name: value for name, value in values.items() if isinstance(value, (int, float))}

@@ -22,7 +22,7 @@ from ..names import BAKED_KEY_PREFIX, LIVE_PROPERTY, VALUES_PROPERTY
 from ..own_pose import release_live
 from .aside import display_of, keys, restore, restore_all, set_aside
 from .bake_keys import require_relative, value_path
-from .live_values import LiveValues, clear_values
+from .live_keys import LiveValues, clear_values
 
 LIVE_KEY = "Facemime Live"
 _HAD_KEYS, _MADE_KEYS = 1, 2
@@ -145,7 +145,7 @@ class LiveMesh:
             return False
         # A mesh without users is not saved, and a single undo step restores a deleted head.
         deleted = self.gone and not self.mesh.users
-        return clear_live(self.mesh, self.obj, self._rest, blocks=blocks and not deleted)
+        return _clear_live(self.mesh, self.obj, self._rest, blocks=blocks and not deleted)
 
     @property
     def left_in_file(self) -> bool:
@@ -172,7 +172,7 @@ class LiveMesh:
         return key
 
 
-def clear_live(
+def _clear_live(
     mesh: bpy.types.Mesh,
     obj: bpy.types.Object | None = None,
     rest: NDArray[np.float32] | None = None,
@@ -226,7 +226,7 @@ def clear_all_live(*, blocks: bool, but: Collection[bpy.types.ID] = ()) -> bool:
     Returns
     -------
     bool
-        Whether a data-block was removed, as for `clear_live`.
+        Whether a data-block was removed, as for `_clear_live`.
     """
     restore_all(but)
     release_live(but)
@@ -234,7 +234,7 @@ def clear_all_live(*, blocks: bool, but: Collection[bpy.types.ID] = ()) -> bool:
         if VALUES_PROPERTY in own and own.library is None and own not in but:
             clear_values(own)
     meshes = [mesh for mesh in bpy.data.meshes if LIVE_PROPERTY in mesh and mesh.library is None and mesh.users]
-    removed = [clear_live(mesh, blocks=blocks) for mesh in meshes if mesh not in but]
+    removed = [_clear_live(mesh, blocks=blocks) for mesh in meshes if mesh not in but]
     return any(removed)
 
 

@@ -28,7 +28,6 @@ from ..muting import Silenced, name_them
 from ..rigs import read_rig
 from ..timeline import frames_of
 from .bake import Targets, bake_pose, check_bakeable, check_range, pose_targets_of, remove_baked
-from .bake_cache import bake_cache, export_alembic, with_name_of
 from .bake_keys import (
     MeshKeys,
     bake_new_keys,
@@ -37,10 +36,10 @@ from .bake_keys import (
     moving_key_names,
     read_keys,
 )
-from .overruled import overruled, unseen
+from .conflicts import mute_disturbing, overruled, playing_under, unseen
+from .exporting import bake_cache, export_alembic, with_name_of
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
-from .underneath import mute_disturbing, playing_under
 
 TOLERANCE = 0.009
 """Error allowed for a basis of new shape keys, in eye distances."""

@@ -1,4 +1,6 @@
-"""Takes from animation: a head is sampled frame by frame, whatever moves its vertices."""
+"""Takes from animation: a head is sampled frame by frame, whatever moves its vertices, or read from a known set of
+shape keys.
+"""
 
 from __future__ import annotations
 
@@ -10,23 +12,101 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.key_map import known_expressions
-from ...core.errors import HeadError
+from ...core.bake.arkit import arkit_coefficients
+from ...core.bake.key_map import KeyMap, best_preset, known_expressions, presets
+from ...core.errors import HeadError, Message
+from ...core.face.coefficient_names import COEFFICIENTS
 from ...core.face.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_distance
+from ...core.heads.looks import LOOKS
 from ...core.heads.parts import Part
 from ...core.heads.regions import LOWER
 from ...core.heads.rig import neck_of
 from ...core.numeric.arrays import FloatArray
 from ...core.takes.from_animation import FacePoints, PointTracker, describe_animation
+from ...core.takes.neutral import calibrate
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix
-from ..collections import revealed
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import exists, eye_vertices, key_names, mesh_of, read_landmarks, read_regions, read_vertices
+from ..meshes import exists, eye_vertices, key_names, keys_of, mesh_of, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
 from ..timeline import frame_range, rate_of
-from .animated_keys import AnimatedKeys
-from .standing import standing_vertices
+from ..view_layers import revealed
+from .bake_keys import standing_vertices
+
+_STILL = 1e-4
+"""Largest value of keys that count as not animated: less than a step of a take's coefficients matters."""
+_MOST = 1.001
+"""Value above which a key is exaggerated: single precision exceeds 1 by less."""
+
+
+_LOOKS = {COEFFICIENTS[column] for column in LOOKS}
+
+
+class _AnimatedKeys:
+    """Reads the values of the keys of a head while its animation is sampled.
+
+    Parameters
+    ----------
+    head : bpy.types.Object
+        The head; keys of the other meshes of its face count as well.
+    """
+
+    def __init__(self, head: bpy.types.Object) -> None:
+        self._objects = [obj for obj in (head, *objects_of(head)) if key_names(obj)]
+        self._table = _table([key_names(obj) for obj in self._objects])
+        self._names = () if self._table is None else self._table.keys
+        self._rows: list[list[float]] = []
+
+    @property
+    def moved(self) -> bool:
+        """Whether a key has had a value other than 0."""
+        return bool(self._rows) and bool(np.abs(self._rows).max(initial=0.0) > _STILL)
+
+    def read(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """Read the values in the current frame; of a key on several meshes, the one furthest from 0."""
+        if self._names:
+            values = [_values(obj.evaluated_get(depsgraph)) for obj in self._objects]
+            self._rows.append([max((of.get(name, 0.0) for of in values), key=abs) for name in self._names])
+
+    def state(self, take: Take) -> None:
+        """Let a take of the frames that were read state their coefficients, unless no key moved.
+
+        Directions of the eyes that no key determines are those of the gaze.
+        """
+        seen = take.found
+        if self._table is None or not self.moved or not seen.any():
+            return
+        values = np.array(self._rows)[seen]
+        if limited := [name for name, column in zip(self._names, values.T, strict=True) if column.max() > _MOST]:
+            names = ", ".join(limited)
+            note = Message("Coefficients are at most 1, to which these keys were limited: {names}.", names=names)
+            take.info["notes"] = [*take.info.get("notes", []), note]
+        solved = arkit_coefficients(take, calibrate(take))
+        if not np.isfinite(take.gaze[seen]).all():
+            solved[:, LOOKS] = 0.0
+        stated = self._table.invert(dict(zip(self._names, values.T, strict=True)), solved)
+        if not self._looks(values):
+            stated[:, LOOKS] = solved[:, LOOKS]
+        take.coefficients[seen] = stated
+
+    def _looks(self, values: FloatArray) -> bool:
+        """Whether keys move the eyes."""
+        rows = () if self._table is None else self._table.rows
+        moved = [name for name, column in zip(self._names, values.T, strict=True) if np.abs(column).max() > _STILL]
+        return any(row.source in _LOOKS and row.key in moved for row in rows)
+
+
+def _table(names: list[list[str]]) -> KeyMap | None:
+    """Mapping of the known set of the first mesh that has one, for the keys of all meshes."""
+    preset = next(filter(None, map(best_preset, names)), None)
+    every = dict.fromkeys(name for of in names for name in of)
+    return None if preset is None else next(known for known in presets() if known.name == preset.name).matched(every)
+
+
+def _values(final: bpy.types.Object) -> dict[str, float]:
+    """Values of the keys of an evaluated mesh; those of muted ones are 0."""
+    return {key.name: 0.0 if key.mute else float(key.value) for key in keys_of(final).key_blocks}
+
 
 _CONSTRUCTIVE = {
     *("ARRAY", "BEVEL", "BOOLEAN", "BUILD", "DECIMATE", "EDGE_SPLIT", "MASK", "MIRROR", "MULTIRES", "REMESH"),
@@ -68,7 +148,7 @@ class Sampling:
         self._scene, self._head, self.frames = scene, head, frame_range(scene)
         self._rate = rate_of(scene)
         self._recorder = TakeRecorder(describe_animation(source, self._rate))
-        self._face, self._keys = _Face(head), AnimatedKeys(head)
+        self._face, self._keys = _Face(head), _AnimatedKeys(head)
         self._tracker: PointTracker | None = None
         self._moves = False
 

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ...core.bake.bake_settings import CURRENT_FRAME, SCENE_START
 from ...core.errors import Message
-from ..media.sound import is_of_take, strips_of
 from ..muting import others_playing
 from ..names import RANGE_PROPERTY
+from ..reference import is_of_take, strips_of
 from ..timeline import keyed_frame, shown_frames
 
 _PARTS = ("shape_keys", "node_tree")

@@ -22,7 +22,6 @@ from ...core.errors import HeadError
 from ...core.face.landmarks import EYE_CORNERS
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
-from ..armatures import posed_bones, rest_bones
 from ..characters import (
     objects_of,
     own_rotation,
@@ -34,7 +33,7 @@ from ..characters import (
     rest_rotation,
 )
 from ..frames import rotation_to_blender, to_blender
-from ..meshes import exists, mesh_of, read_places, read_vertices
+from ..meshes import exists, mesh_of, posed_bones, read_places, read_vertices, rest_bones
 from ..names import PIVOT_PROPERTY
 from ..own_pose import (
     begin_live,

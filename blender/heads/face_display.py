@@ -7,9 +7,8 @@ from typing import ClassVar
 
 import bpy
 
-from ..armatures import posed_bones
 from ..characters import objects_of
-from ..meshes import mesh_of
+from ..meshes import mesh_of, posed_bones
 from ..surfaces import ShownColours
 from .family import armature_of
 

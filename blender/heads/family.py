@@ -20,9 +20,8 @@ from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.bones import find_bones
 from ...core.heads.part_names import named_part, names_body, names_skin
 from ...core.numeric.arrays import FloatArray
-from ..armatures import rest_bones
 from ..characters import head_of, objects_of, rest_matrix
-from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of
+from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones
 from ..names import PART_PROPERTY
 
 _STILL = 1e-6
@@ -67,11 +66,11 @@ def known_keys(obj: bpy.types.Object) -> KeyMap | None:
     """Return the mapping to the known set of shape keys with most keys that a mesh of the character of `obj` has; None
     if none has such a set.
     """
-    found = [table for member in family_of(obj) if (table := preset_of(member)) is not None]
+    found = [table for member in family_of(obj) if (table := _preset_of(member)) is not None]
     return max(found, key=lambda table: len(table.keys), default=None)
 
 
-def preset_of(obj: bpy.types.Object) -> KeyMap | None:
+def _preset_of(obj: bpy.types.Object) -> KeyMap | None:
     """Return the mapping to the known set of shape keys that move a mesh; fast enough for drawing a panel."""
     names = tuple(key_names(obj))
     if _preset(names) is None:
@@ -236,7 +235,7 @@ def material_names(obj: bpy.types.Object) -> list[str]:
 def _face_score(obj: bpy.types.Object) -> float:
     """Return how likely a mesh has the skin of the face, by names and shape keys; 0 or less is unlikely."""
     names = [obj.name, *material_names(obj)]
-    score = 1.0 + 2.0 * any(map(names_skin, names)) + 1.0 * (preset_of(obj) is not None)
+    score = 1.0 + 2.0 * any(map(names_skin, names)) + 1.0 * (_preset_of(obj) is not None)
     if all(named_part([name]) is not None for name in names) or named_part([obj.name]) is not None:
         score -= 4.0
     return score - 2.0 * names_body(obj.name)

@@ -14,7 +14,7 @@ from ...core.errors import ModelError
 from ...core.files.assets import ASSETS
 from ..names import UV_MAP
 
-TEXTURES = ASSETS / "head"
+_TEXTURES = ASSETS / "head"
 
 _SATURATION = 1.25
 """Factor of the saturation of skin and hair in Material Preview and renders."""
@@ -107,7 +107,7 @@ def _material(
 
 def _image(picture: str) -> bpy.types.Image:
     """Load an image, packed so that a saved file does not need the extension."""
-    path = TEXTURES / picture
+    path = _TEXTURES / picture
     if not path.is_file():
         raise ModelError("The texture {path} is missing. Reinstall Facemime.", path=path)
     name = f"Facemime {path.stem.title()}"

@@ -36,10 +36,10 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
     obj.vertex_groups.active_index = group.index
     if context.mode != "PAINT_WEIGHT":
         bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
-    ensure_brush(context)
+    _ensure_brush(context)
 
 
-def ensure_brush(context: bpy.types.Context) -> None:
+def _ensure_brush(context: bpy.types.Context) -> None:
     """Make sure that a weight paint brush is active, creating one if Blender has none."""
     paint = context.tool_settings.weight_paint
     assert paint is not None

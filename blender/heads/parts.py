@@ -21,10 +21,9 @@ from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.nearest import NearestPoints
 from ...core.mesh.pieces import border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..armatures import posed_bones
 from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import group_weights, mesh_of, read_faces, read_landmarks, read_vertices
+from ..meshes import group_weights, mesh_of, posed_bones, read_faces, read_landmarks, read_vertices
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from facemime.blender.actions import Curve, write_curves
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.arkit import COEFFICIENTS
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings

@@ -27,11 +27,11 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.characters import objects_of, part_mesh, read_bones, read_kinds
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.landmark_pictures import draw_landmarks
-from facemime.blender.media.rendering import render_frames
 from facemime.blender.meshes import read_faces, read_landmarks
+from facemime.blender.rendering import render_frames
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
+from facemime.cli.character import draw_landmarks
 from facemime.core.binding.eye_contours import eye_openness
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.apertures import lid_gaps, lip_gaps

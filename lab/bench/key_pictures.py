@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.blender.heads.built_in import add_head
 from facemime.blender.heads.expression_keys import make_expression_keys
-from facemime.blender.media.preview_scene import setup_preview
-from facemime.blender.media.rendering import render_frames
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.preview_scene import setup_preview
+from facemime.blender.rendering import render_frames
 from facemime.core.keys.key_sets import KEY_SETS
 from facemime.core.tracking.overlay import draw_label
 

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 import facemime
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, write_landmarks
 from facemime.core.live.timing import STAGES
 from facemime.sessions.live import LiveSession

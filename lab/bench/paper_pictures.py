@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.media.preview_scene import face_view, setup_preview
-from facemime.blender.media.rendering import render_frames
+from facemime.blender.preview_scene import face_view, setup_preview
+from facemime.blender.rendering import render_frames
 from facemime.blender.timeline import frames_of
-from facemime.cli.puppet.headless import open_stage
+from facemime.cli.headless import open_stage
 from facemime.core.control_points.greedy import START
 from facemime.core.control_points.select import select_control_points
 from facemime.core.control_points.table import REGION_COLOURS

@@ -17,7 +17,7 @@ import numpy as np
 
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.targets import own_targets
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.core.bake.arkit import FrameCoefficients
 from facemime.core.drive.drive_settings import DriveSettings

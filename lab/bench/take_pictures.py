@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.preview_scene import setup_preview
-from facemime.blender.media.rendering import render_frames, set_rate
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.preview_scene import setup_preview
+from facemime.blender.rendering import render_frames, set_rate
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.media.capture import VideoSource

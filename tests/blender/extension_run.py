@@ -85,7 +85,7 @@ def send_across_networks(bpy) -> int:
         probe.bind(("127.0.0.1", 0))
         output.port = probe.getsockname()[1]
     output.enabled, output.across, output.listen = True, True, "127.0.0.1"
-    line = importlib.import_module(f"{MODULE}.settings.pairing").pairing_line(output)
+    line = importlib.import_module(f"{MODULE}.settings.properties").pairing_line(output)
     import Cryptodome
 
     assert Path(Cryptodome.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), Cryptodome.__file__

@@ -11,7 +11,7 @@ import pytest
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import PART_PROPERTY, TONGUE_KEY
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of

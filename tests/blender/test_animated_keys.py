@@ -6,7 +6,7 @@ import pytest
 
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.sampling import Sampling
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake import arkit
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.bake.bake_settings import BakeSettings

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation.sampling import Sampling
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.face.coefficient_names import COEFFICIENTS

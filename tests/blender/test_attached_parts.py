@@ -5,7 +5,7 @@ import pytest
 
 from facemime.blender.characters import parts_of
 from facemime.blender.heads.attached import attach
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import PART_OBJECTS, PART_PROPERTY, PARTS_PROPERTY
 from facemime.operators import attached_parts
 from facemime.operators.attached_parts import attend

@@ -8,7 +8,7 @@ from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.frames import from_blender, rotation_to_blender
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from facemime.blender.actions import TRACK
-from facemime.blender.animation.bake_cache import MODIFIER
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
+from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import Follow, LiveHeadObject
 from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_heads
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.characters import members_of
 from facemime.blender.frames import from_blender, rotation_to_blender
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings

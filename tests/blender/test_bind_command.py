@@ -6,11 +6,11 @@ import pytest
 
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import read_marks
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.heads.marks import mark_points
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.cli.bind import DOUBTFUL, parse_mark
-from facemime.cli.terminal.remedies import REMEDIES, for_terminal
+from facemime.cli.character import mark_points
+from facemime.cli.console import REMEDIES, for_terminal
 from facemime.core.binding.bind import MARKS, TOO_COARSE
 from facemime.core.errors import FacemimeError, HeadError
 from facemime.core.face.landmarks import from_ibug, outer_eye_distance

@@ -9,10 +9,10 @@ import pytest
 
 from facemime.blender.animation.clips import clips_of, owners_of, play, play_single
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.timeline import rate_of
-from facemime.cli.puppet.files import likely_mesh, object_named, open_file
-from facemime.cli.terminal.options import head_file
+from facemime.cli.character_files import likely_mesh, object_named, open_file
+from facemime.cli.options import head_file
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.puppet.job import CHARACTER_SUFFIXES, HeadFile

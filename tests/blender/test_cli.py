@@ -16,8 +16,8 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media import rendering
+from facemime.blender import rendering
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.errors import OutputError

@@ -6,15 +6,15 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.heads.landmark_places import landmark_places, nearest_landmark
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.heads.placing import landmark_places, nearest_landmark
 from facemime.blender.meshes import read_landmarks, read_selection, write_selection
 from facemime.blender.rigs import read_rig
 from facemime.core.control_points.select import select_control_points
 from facemime.core.face.landmarks import from_ibug
 from facemime.settings.panel_properties import list_landmarks
 from facemime.ui.control_points import FACEMIME_UL_landmarks, shown_rows
-from facemime.ui.point_overlay import dots
+from facemime.ui.overlays import dots
 from tests.helpers.takes import performance
 
 NOSE, EAR = from_ibug((30, 0))

@@ -8,12 +8,12 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.sounds import beep
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import StreamSettings
 from facemime.operators import puppet
 from facemime.operators.puppet import running
+from facemime.sessions.calibrating import beep
 from facemime.settings.preferences import preferences
 from facemime.ui.status import countdown_text
 from tests.helpers.live_ticks import TIMER, let_a_frame_come, start, tick, ticks_until

@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation import exporting
-from facemime.blender.animation.exporting import keys_as_shown, selected_for_export
-from facemime.blender.animation.gltf import export_gltf
+from facemime.blender.animation.exporting import export_gltf, keys_as_shown, selected_for_export
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import OutputError
 from facemime.core.puppet.puppet_settings import PuppetSettings

@@ -6,7 +6,7 @@ import pytest
 
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import check_object
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import eye_vertices, read_faces, read_landmarks, read_regions, read_vertices
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver

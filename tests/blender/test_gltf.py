@@ -8,10 +8,10 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.animation.gltf import export_gltf
+from facemime.blender.animation.exporting import export_gltf
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError, OutputError
 from facemime.core.mesh.nearest import NearestPoints

@@ -10,13 +10,13 @@ from mathutils import Vector
 
 from facemime.blender.frames import HEAD_TO_BLENDER, flat_in_blender, from_blender, rotation_to_blender, to_blender
 from facemime.blender.heads.attached import heads_with_parts
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.preview_scene import setup_preview
-from facemime.blender.media.rendering import without_subdivision
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
-from facemime.blender.placement import is_seen_by_camera
+from facemime.blender.preview_scene import setup_preview
+from facemime.blender.rendering import without_subdivision
 from facemime.blender.rigs import read_rig
+from facemime.blender.view_layers import is_seen_by_camera
 from facemime.core.face.landmarks import from_ibug
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head

@@ -3,7 +3,7 @@
 import bpy
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.key_map import load_map
 
 pytestmark = pytest.mark.usefixtures("in_a_project")

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from facemime.blender.heads.binding import check_object
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_vertices
 from facemime.blender.rigs import read_rig
-from facemime.cli.puppet.character import bind
+from facemime.cli.character import bind
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 from facemime.core.mesh.surface import SurfaceGraph

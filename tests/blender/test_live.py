@@ -7,7 +7,7 @@ import pytest
 import facemime
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.frames import to_blender
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_faces, read_selection
 from facemime.blender.names import PART_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation.live_mesh import LIVE_KEY
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, LIVE_PROPERTY, MARKS_PROPERTY, PART_PROPERTY
 from facemime.operators.puppet import running
 from tests.helpers.live_ticks import CLICK, outcome_of_ticks, shown, some_frames, start, tick, ticks_until
@@ -303,7 +303,7 @@ import sys
 sys.path.insert(0, {tests!r})
 import bpy, facemime, numpy as np
 from tests.helpers.clocks import AskedClock
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.live.sources import PacedSource
 from facemime.core.takes.file import save_take
 from tests.helpers.live_ticks import moving, ticks_until

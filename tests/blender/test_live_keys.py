@@ -5,7 +5,7 @@ import pytest
 
 from facemime.blender.animation.live_keys import live_keys
 from facemime.blender.animation.live_mesh import LIVE_KEY
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import ASIDE_PROPERTY, PART_PROPERTY, VALUES_PROPERTY
 from facemime.core.errors import HeadError
 from facemime.sessions.start import follow_settings, start_session

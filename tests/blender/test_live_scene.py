@@ -4,10 +4,10 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.animation.bake_cache import MODIFIER
+from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.live_mesh import LIVE_KEY
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.errors import HeadError
 from facemime.operators.puppet import running
 from tests.helpers.live_ticks import outcome_of_ticks, shown, some_frames, start, ticks_until

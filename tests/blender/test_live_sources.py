@@ -4,7 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.settings.performers import calibration_of, forget, read_calibration
 from facemime.settings.preferences import preferences

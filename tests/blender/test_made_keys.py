@@ -11,9 +11,9 @@ from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.characters import read_bones
 from facemime.blender.heads.binding import bind_character, missing_parts
-from facemime.blender.heads.built_in import add_head
 from facemime.blender.heads.expression_keys import make_expression_keys, making_expression_keys
 from facemime.blender.heads.keyed import bind_keys
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import driven_by_keys, is_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig

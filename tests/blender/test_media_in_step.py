@@ -7,12 +7,12 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.reference import add_reference
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.reference import add_reference
 from facemime.blender.timeline import rate_of
 from facemime.core.media.capture import VideoSource
 from facemime.core.takes.file import save_take
-from facemime.operators import media
+from facemime.operators import bake
 from tests.helpers.clips import write_variable_clip
 from tests.helpers.takes import performance
 
@@ -88,7 +88,7 @@ def test_sound_that_starts_before_the_first_image_starts_before_the_take(takes, 
     bpy.ops.facemime.import_take(filepath=str(tmp_path / "a.facetake"))
     scene = bpy.context.scene
     scene.sync_mode = "NONE"
-    monkeypatch.setattr(media, "sound_lead", lambda path: 0.48)
+    monkeypatch.setattr(bake, "sound_lead", lambda path: 0.48)
     assert bpy.ops.facemime.add_sound(filepath=str(tmp_path / "sound.wav")) == {"FINISHED"}
     editor = scene.sequence_editor
     (strip,) = editor.strips if hasattr(editor, "strips") else editor.sequences

@@ -4,7 +4,7 @@ import bpy
 import pytest
 
 from facemime.blender import messages
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.messages import load_languages, translated
 from facemime.core.errors import DataError, Message, SourceError
 

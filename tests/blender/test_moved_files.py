@@ -7,9 +7,9 @@ from pathlib import Path
 import bpy
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.takes.file import save_take
-from facemime.settings import moved_files, storage, takes_store
+from facemime.settings import storage, takes_store
 from facemime.settings import user_presets as presets
 from facemime.settings.preferences import preferences
 from tests.helpers.takes import performance
@@ -22,9 +22,9 @@ DOCUMENTS = storage.documents
 def home(tmp_path, monkeypatch):
     """Documents, presets and the extension's own folder, all empty."""
     monkeypatch.setattr(storage, "documents", lambda: tmp_path / "Documents")
-    for module in (storage, moved_files):
+    for module in (storage, storage):
         monkeypatch.setattr(module, "private_folder", lambda name: tmp_path / "extension" / name)
-    for module in (presets, moved_files):
+    for module in (presets, storage):
         monkeypatch.setattr(module, "presets_folder", lambda: tmp_path / "presets")
     return tmp_path
 
@@ -127,11 +127,11 @@ def test_a_take_that_was_being_recorded_at_the_first_save_moves_when_it_ends(hom
     path = takes_store.new_path("Take")
     save_take(performance(), path)
     path.with_suffix(".mkv").write_bytes(b"video")
-    assert moved_files.beside(path) == path
+    assert storage.beside(path) == path
     save(project / "shot.blend")
-    assert moved_files.beside(path) == project / "takes" / "Take.facetake" and not path.exists()
+    assert storage.beside(path) == project / "takes" / "Take.facetake" and not path.exists()
     assert files(project) == ["shot.blend", "takes/Take.facetake", "takes/Take.mkv"]
-    assert moved_files.beside(home / "elsewhere.facetake") == home / "elsewhere.facetake"
+    assert storage.beside(home / "elsewhere.facetake") == home / "elsewhere.facetake"
 
 
 def test_takes_imported_from_elsewhere_stay_there(home, project):
@@ -175,7 +175,7 @@ def test_an_upgrade_moves_takes_and_presets_out_of_the_extensions_folder(home, p
     other = home / "Documents" / "Facemime" / "takes" / "Take.facetake"
     save_take(performance(), other)
     before = other.read_bytes()
-    moved_files.adopt_earlier_files()
+    storage.adopt_earlier_files()
     shutil.rmtree(home / "extension")
     assert presets.names() == ["Mine"] and other.read_bytes() == before
     assert len(takes_store.read(line)) == 60, "in the open file"
@@ -183,7 +183,7 @@ def test_an_upgrade_moves_takes_and_presets_out_of_the_extensions_folder(home, p
     (line,) = bpy.context.scene.facemime_takes.items
     assert len(takes_store.read(line)) == 60
     assert takes_store.video_of(bpy.context.scene, line).read_bytes() == b"video"
-    moved_files.adopt_earlier_files()
+    storage.adopt_earlier_files()
     assert len(takes_store.read(line)) == 60
 
 
@@ -191,5 +191,5 @@ def test_an_upgrade_moves_takes_and_presets_out_of_the_extensions_folder(home, p
 def test_a_damaged_list_of_moved_files_is_ignored(home, text):
     folder = home / "Documents" / "Facemime" / "takes"
     folder.mkdir(parents=True)
-    (folder / moved_files.MOVED).write_text(text)
-    assert moved_files.located("/a") == Path("/a")
+    (folder / storage.MOVED).write_text(text)
+    assert storage.located("/a") == Path("/a")

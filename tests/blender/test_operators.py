@@ -11,7 +11,7 @@ from mathutils import Vector
 
 import facemime
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_vertices
 from facemime.core.heads.built_in import WOMAN_FILE, load_head
 from facemime.core.takes.file import load_take, save_take

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation.bake import remove_baked
+from facemime.blender.animation.conflicts import mute_under, playing_under
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import own_targets
-from facemime.blender.animation.underneath import mute_under, playing_under
 from facemime.blender.characters import members_of
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.curves import curves_of

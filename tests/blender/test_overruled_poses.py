@@ -5,7 +5,7 @@ import pytest
 
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.sessions.show import TakeShow
 from tests.helpers.characters import make_character

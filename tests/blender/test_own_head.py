@@ -7,11 +7,11 @@ from mathutils import Matrix
 
 from facemime.blender.heads import binding
 from facemime.blender.heads.binding import bind_character, bind_head, check_object, read_marks
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, read_regions, read_selection, read_vertices
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
-from facemime.cli.puppet.files import bound_character
+from facemime.cli.character_files import bound_character
 from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_control_points, to_json
 from facemime.core.errors import HeadError

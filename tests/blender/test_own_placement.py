@@ -13,7 +13,7 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import own_targets
 from facemime.blender.frames import rotation_to_blender
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.drive.driver import HeadDriver

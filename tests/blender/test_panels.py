@@ -8,7 +8,7 @@ import bpy
 import pytest
 
 from facemime.blender.heads.binding import write_marks
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
@@ -20,7 +20,6 @@ from facemime.core.takes.file import save_take
 from facemime.operators.calibrate import FACEMIME_OT_calibrate
 from facemime.settings import takes_store
 from facemime.settings.preferences import preferences
-from facemime.ui.calibration import FACEMIME_PT_calibration
 from facemime.ui.control_points import (
     FACEMIME_MT_select_from_take,
     FACEMIME_PT_control_points,
@@ -28,13 +27,10 @@ from facemime.ui.control_points import (
     shown_rows,
 )
 from facemime.ui.drawing import wrap
-from facemime.ui.expression import FACEMIME_PT_expression
-from facemime.ui.head import FACEMIME_PT_own_head
+from facemime.ui.head import FACEMIME_PT_check, FACEMIME_PT_own_head, FACEMIME_PT_regions
 from facemime.ui.menus import VIEW3D_MT_facemime
-from facemime.ui.parts import FACEMIME_PT_check
-from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_pose, FACEMIME_PT_puppet
-from facemime.ui.regions import FACEMIME_PT_regions
-from facemime.ui.source import FACEMIME_PT_source
+from facemime.ui.puppet import FACEMIME_PT_bake, FACEMIME_PT_expression, FACEMIME_PT_pose, FACEMIME_PT_puppet
+from facemime.ui.source import FACEMIME_PT_calibration, FACEMIME_PT_source
 from facemime.ui.start import FACEMIME_PT_start
 from facemime.ui.takes import (
     FACEMIME_MT_takes,

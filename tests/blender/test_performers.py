@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.live.sources import TakePlayer
 from facemime.core.live.worker import LiveWorker
 from facemime.core.takes.neutral import calibrate

@@ -5,10 +5,10 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.heads.landmark_pictures import draw_landmarks
-from facemime.blender.media.preview_scene import face_view, setup_preview
-from facemime.blender.media.rendering import render_frames
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.preview_scene import face_view, setup_preview
+from facemime.blender.rendering import render_frames
+from facemime.cli.character import draw_landmarks
 from tests.helpers.thorough import first_of
 
 SIZE = (96, 96)

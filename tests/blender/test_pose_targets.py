@@ -9,7 +9,7 @@ from facemime.blender.animation.targets import PoseTarget, own_targets
 from facemime.blender.characters import rest_matrix, write_bones
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
 from facemime.core.face.landmarks import EYE_CORNERS, outer_eye_distance

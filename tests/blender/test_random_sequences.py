@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import is_head, read_vertices
 from facemime.core.takes.file import save_take
 from facemime.operators.puppet import running

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.reference import add_reference
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.reference import add_reference
 from facemime.core.errors import OutputError
 from facemime.core.media.capture import VideoSource
 from facemime.core.takes.file import load_take, save_take

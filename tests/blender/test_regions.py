@@ -6,14 +6,14 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.heads.painting import paint_region
 from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import from_ibug
-from facemime.ui import region_overlay
-from facemime.ui.region_overlay import coloured_triangles, shown_regions
+from facemime.ui import overlays
+from facemime.ui.overlays import coloured_triangles, shown_regions
 
 BROW_RIGHT, BROW_LEFT = from_ibug((19, 24))
 
@@ -111,15 +111,15 @@ def test_weights_are_read_again_only_after_the_mesh_has_changed():
     head = add_head(bpy.context)
     bpy.context.scene.facemime_steps.show_regions = True
     bpy.context.view_layer.update()
-    region_overlay._Cache.stale = False
+    overlays._Cache.stale = False
     head.location.x += 1.0
     bpy.context.view_layer.update()
-    assert not region_overlay._Cache.stale
+    assert not overlays._Cache.stale
     bpy.ops.facemime.smooth_regions()
     bpy.context.view_layer.update()
-    assert region_overlay._Cache.stale
-    region_overlay._on_update(bpy.context.scene, SimpleNamespace(updates=[]))
-    assert region_overlay._Cache.stale
+    assert overlays._Cache.stale
+    overlays._on_update(bpy.context.scene, SimpleNamespace(updates=[]))
+    assert overlays._Cache.stale
 
 
 def test_painting_a_hidden_head_is_reported():

@@ -10,7 +10,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import PART_PROPERTY
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.errors import SourceError
@@ -28,9 +28,9 @@ from facemime.core.takes.from_coefficients import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
-from facemime.settings.pairing import pairing_line
 from facemime.settings.performers import read_calibration, write_calibration
 from facemime.settings.preferences import preferences
+from facemime.settings.properties import pairing_line
 from facemime.settings.values import open_sender, open_source
 from facemime.ui.puppet import FACEMIME_PT_incoming, FACEMIME_PT_puppet
 from tests.helpers.links import all_the_time, free_port, performing, sending_phone
@@ -370,7 +370,7 @@ def test_a_paired_computer_drives_a_head_over_tls(pairing, online, tmp_path):
 @pytest.fixture
 def across(tmp_path, monkeypatch):
     """Sending across networks, on a free port of this computer, with an identity of its own."""
-    monkeypatch.setattr("facemime.settings.pairing.private_folder", lambda name: tmp_path / name)
+    monkeypatch.setattr("facemime.settings.properties.private_folder", lambda name: tmp_path / name)
     output = bpy.context.scene.facemime.output
     output.enabled, output.across, output.listen, output.port = True, True, "127.0.0.1", free_port()
     return output

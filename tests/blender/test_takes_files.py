@@ -7,7 +7,7 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.core.takes.file import save_take
 from facemime.settings import takes_store
 from tests.helpers.takes import performance

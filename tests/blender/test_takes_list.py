@@ -10,7 +10,7 @@ import pytest
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.frames import to_blender
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.file import save_take

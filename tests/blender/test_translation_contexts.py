@@ -7,7 +7,7 @@ import bpy
 import pytest
 
 import facemime.registration as registration
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 from facemime.blender.messages import CONTEXT, interface, load_languages
 from facemime.ui.translations import texts
 

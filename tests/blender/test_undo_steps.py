@@ -8,7 +8,7 @@ from tests.helpers.blenders import ROOT
 _PUSH = """
 import os, threading
 import bpy
-from facemime.blender.undo import push_undo
+from facemime.blender.contexts import push_undo
 
 def allocate():
     while True:

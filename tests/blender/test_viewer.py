@@ -14,8 +14,8 @@ import pytest
 from websockets.sync.client import connect
 
 from facemime.blender.animation.appearance import read_appearance
-from facemime.blender.heads.built_in import add_head
-from facemime.blender.media.preview_scene import setup_preview
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.preview_scene import setup_preview
 from facemime.cli.main import main
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError

@@ -7,8 +7,8 @@ from mathutils import Quaternion
 
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.family import character_of
-from facemime.blender.media.preview_scene import face_points, look_at_face
 from facemime.blender.meshes import read_landmarks
+from facemime.blender.preview_scene import face_points, look_at_face
 from facemime.blender.viewports import Viewport, is_hidden_by_others
 from tests.helpers.characters import make_character
 

@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from facemime.cli.batch.record import checked_record
+from facemime.cli.clips import checked_record
 from facemime.core.bake import key_map
 from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep

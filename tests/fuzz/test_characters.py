@@ -24,7 +24,7 @@ COUNT = int(os.environ.get("FACEMIME_FUZZ_CHARACTERS", "30"))
 KINDS = ("glb", "vrm", "abc", "fbx", "usdc", "ply", "stl", "obj", "blend")
 WRITER = """
 import sys, bpy
-from facemime.blender.heads.built_in import add_head
+from facemime.blender.heads.new_heads import add_head
 bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
 head = add_head(bpy.context, units=True)
 for child in list(head.children):

@@ -33,7 +33,7 @@ _TURNS = 2
 """How often the clip is played for a picture with a frame rate; the fastest is kept, as other programs may run."""
 _STOPPED = f"""
 import time
-from {MODULE}.sessions import countdown
+from {MODULE}.sessions import calibrating as countdown
 now = time.perf_counter()
 countdown.perf_counter = lambda: now
 """

@@ -46,7 +46,7 @@ def _moments(
 
 
 def _film_clip(actor: Actor, skin: Path, samples: int) -> None:
-    from facemime.blender.media.rendering import write_video
+    from facemime.blender.rendering import write_video
 
     from .stage import Stage, project
 

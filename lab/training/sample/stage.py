@@ -13,7 +13,7 @@ from mathutils import Vector
 from numpy.typing import NDArray
 
 from facemime.blender.frames import to_blender
-from facemime.blender.media.rendering import quiet
+from facemime.blender.rendering import quiet
 
 from .actor import Actor
 

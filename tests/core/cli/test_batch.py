@@ -15,19 +15,11 @@ import numpy as np
 import pytest
 
 from facemime.cli import main as cli
-from facemime.cli.batch import run
-from facemime.cli.batch.clips import (
-    Clip,
-    Namer,
-    confidence_curve,
-    find_clips,
-    read_record,
-    worst_frames,
-    write_record,
-)
-from facemime.cli.batch.report import Entry, write_report
-from facemime.cli.terminal.guard import own_command
-from facemime.cli.terminal.options import Parser, add_puppet_options, as_options, parse, puppet_job
+from facemime.cli import runners
+from facemime.cli.clips import Clip, Namer, confidence_curve, find_clips, read_record, worst_frames, write_record
+from facemime.cli.guard import own_command
+from facemime.cli.options import Parser, add_puppet_options, as_options, parse, puppet_job
+from facemime.cli.report import Entry, write_report
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.errors import FacemimeError, OutputError, SourceError
@@ -227,26 +219,26 @@ def test_the_report_is_one_file_and_lists_failures_first(tmp_path):
 @pytest.fixture
 def python_lines(monkeypatch):
     """Run command lines as Python code."""
-    monkeypatch.setattr(run, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
+    monkeypatch.setattr(runners, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
 
 
 def test_a_crashed_or_failed_process_does_not_stop_others(python_lines):
     lines = ["import os; os.abort()", "sys.exit('no head')", "pass", "print('so', file=sys.stderr)", "sys.exit(7)"]
-    runner = run.LocalRunner(2)
+    runner = runners.LocalRunner(2)
     ended = sorted(runner.run([[line] for line in lines]), key=lambda outcome: outcome.index)
     runner.close()
     runner.close()
     assert [outcome.status for outcome in ended][1:] == [1, 0, 0, 7] and ended[0].status != 0
     assert ended[1].said == "no head" and ended[3].said == "so"
-    assert run.run_line(["sys.exit('there too')"]) == (1, "there too")
+    assert runners.run_line(["sys.exit('there too')"]) == (1, "there too")
 
 
 def test_closing_a_runner_ends_running_and_drops_waiting_lines(python_lines, tmp_path):
     script = f"open({str(tmp_path / 'started')!r}, 'w').close(); import time; time.sleep(600)"
-    runner = run.LocalRunner(1)
+    runner = runners.LocalRunner(1)
     lines = [[script], [f"open({str(tmp_path / 'second')!r}, 'w').close()"]]
     thread = threading.Thread(target=lambda: ended.append(next(runner.run(lines))))
-    ended: list[run.Outcome] = []
+    ended: list[runners.Outcome] = []
     thread.start()
     while not (tmp_path / "started").exists():
         time.sleep(0.01)
@@ -265,10 +257,10 @@ def test_inside_blender_processes_are_started_through_blender(monkeypatch):
 
 def test_missing_dask_or_scheduler_is_a_clear_error(monkeypatch):
     with pytest.raises(FacemimeError, match="There is no Dask scheduler at nowhere"):
-        run.DaskRunner("nowhere://")
+        runners.DaskRunner("nowhere://")
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(FacemimeError, match="pip install distributed"):
-        run.DaskRunner("tcp://127.0.0.1:1")
+        runners.DaskRunner("tcp://127.0.0.1:1")
 
 
 def test_dask_is_imported_only_if_requested():

@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 import pytest
 
+from facemime.cli import console
 from facemime.cli import main as cli
-from facemime.cli.batch.clips import Namer, find_clips
-from facemime.cli.terminal import console
-from facemime.cli.terminal.console import Progress, printable, say, tell
+from facemime.cli.clips import Namer, find_clips
+from facemime.cli.console import Progress, printable, say, tell
 from facemime.core.errors import SourceError
 from facemime.core.media.images import write_image
 from facemime.core.puppet.job import PuppetJob
@@ -125,7 +125,7 @@ def test_a_list_of_clips_has_to_be_short_utf_8_text(tmp_path, monkeypatch):
         (tmp_path / "list.txt").write_bytes("a.mp4\nb.mp4\n".encode(encoding))
         with pytest.raises(SourceError, match="a UTF-8 text"):
             find_clips([tmp_path / "list.txt"])
-    from facemime.cli.batch import clips
+    from facemime.cli import clips
 
     monkeypatch.setattr(clips, "_MAX_LIST", 10)
     (tmp_path / "film.mpg").write_text("a" * 11)
@@ -312,7 +312,7 @@ def test_an_interrupt_without_a_message_is_reported_in_a_full_sentence(take, mon
     def interrupt(_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("facemime.cli.terminal.takes.load_take", interrupt)
+    monkeypatch.setattr("facemime.cli.job_files.load_take", interrupt)
     assert cli.main(["export", str(take), "-o", str(take.with_suffix(".csv"))]) == 130
     assert capsys.readouterr().err == "facemime: interrupted. Files that were complete are kept.\n"
 

@@ -12,9 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.cli import landmarks
+from facemime.cli import job_files, landmarks
 from facemime.cli import main as cli
-from facemime.cli.puppet import tracked
 from facemime.core.media.images import write_image
 from facemime.core.takes.file import load_take, save_take
 from tests.helpers.commands import SAMPLE, START, broken_off, needs_posix, run
@@ -72,13 +71,13 @@ def test_images_are_not_overwritten_through_links(tmp_path, capsys):
 def test_later_runs_keep_what_a_killed_run_tracked(tmp_path):
     output, left = tmp_path / "take.facetake", tmp_path / "take.unfinished.facetake"
     broken_off("track", SAMPLE, "-o", output, when=left, by=signal.SIGKILL)
-    tracked = left.read_bytes()
+    job_files = left.read_bytes()
     assert 0 < len(load_take(left)) < 255
     (tmp_path / "junk.mp4").write_text("no video")
     for video, status in ((tmp_path / "junk.mp4", 1), (SAMPLE, 0)):
         done = run("track", video, "-o", output)
         assert done.returncode == status and f"{left} is from an earlier run" in done.stderr
-    assert left.read_bytes() == tracked and len(load_take(output)) == 255
+    assert left.read_bytes() == job_files and len(load_take(output)) == 255
     assert set(os.listdir(tmp_path)) == {"take.facetake", "take.unfinished.facetake", "junk.mp4"}
 
 
@@ -124,7 +123,7 @@ def test_a_take_that_cannot_replace_the_output_is_kept_and_reported(tmp_path, mo
         replace(source, target)
 
     monkeypatch.setattr(os, "replace", refuse)
-    monkeypatch.setattr(tracked, "track_video", lambda *arguments: save_take(performance(), arguments[3]))
+    monkeypatch.setattr(job_files, "track_video", lambda *arguments: save_take(performance(), arguments[3]))
     assert cli.main(["track", str(clip), "-o", str(output)]) == 1
     said = capsys.readouterr().err
     assert (

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from facemime.cli.terminal import guard
+from facemime.cli import guard
 from facemime.core.errors import SourceError
 from tests.helpers.commands import needs_posix, run
 
@@ -49,7 +49,7 @@ def test_memory_and_time_are_limited_while_a_file_is_read(tmp_path):
     (tmp_path / "head.glb").write_bytes(b"x")
     code = f"""
 import resource, pathlib
-from facemime.cli.terminal import guard
+from facemime.cli import guard
 kinds = resource.RLIMIT_DATA, resource.RLIMIT_CPU
 before = [resource.getrlimit(kind) for kind in kinds]
 with guard.limited(pathlib.Path({str(tmp_path / "head.glb")!r})):

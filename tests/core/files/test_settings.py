@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from facemime.cli.terminal.options import Parser, add_puppet_options, parse, puppet_job
+from facemime.cli.options import Parser, add_puppet_options, parse, puppet_job
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.deform.head_deformer import INFORMED
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facemime.cli.main import main
-from facemime.cli.terminal.options import Parser, add_preset_option, add_puppet_options, parse, puppet_job
+from facemime.cli.options import Parser, add_preset_option, add_puppet_options, parse, puppet_job
 from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer

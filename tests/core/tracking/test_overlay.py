@@ -4,7 +4,7 @@ import io
 
 import numpy as np
 
-from facemime.cli.terminal.console import Progress
+from facemime.cli.console import Progress
 from facemime.core.heads.built_in import load_head
 from facemime.core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label, draw_landmarks
 

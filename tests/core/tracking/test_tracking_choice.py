@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facemime.cli import main as cli
-from facemime.cli.terminal.options import face_of
+from facemime.cli.options import face_of
 from facemime.core.errors import FacemimeError
 from facemime.core.live.sources import LiveFrame, LiveSource
 from facemime.core.live.worker import LiveOptions, LiveWorker

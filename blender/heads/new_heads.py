@@ -1,0 +1,197 @@
+"""Heads that are added to a scene: the built-in one, with its parts as children, and FaceGen's."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import SourceError
+from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
+from ...core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
+from ...core.heads.parts import Part
+from ..characters import write_kinds
+from ..frames import to_blender
+from ..meshes import mesh_of, write_landmarks, write_regions
+from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
+from ..view_layers import select_alone
+from .attached import attach
+from .materials import head_materials
+
+_RENDER_LEVELS = 2
+"""Levels of subdivision of the skin in renders."""
+MILLIMETRE = 0.001
+
+
+def add_head(
+    context: bpy.types.Context, *, woman: bool = False, units: bool = False, name: str = "Facemime Head"
+) -> bpy.types.Object:
+    """Add a built-in head at the origin, in a new collection, select it and make it active.
+
+    It faces -Y and stands upright along +Z, in metres; its origin is between the ears.
+
+    Parameters
+    ----------
+    context : bpy.types.Context
+    woman : bool
+        Whether to add the woman's head instead of the man's.
+    units : bool
+        Whether to add the 52 face units as shape keys.
+    name : str
+        Name of the object and its collection.
+
+    Returns
+    -------
+    bpy.types.Object
+        The skin; eyeballs, teeth, tongue, lashes and hair are its children.
+    """
+    head = load_head(WOMAN_FILE if woman else None)
+    materials = head_materials(woman=woman)
+    mesh = _mesh(name, head.vertices, head.faces, head.uv, materials["skin"])
+    write_landmarks(mesh, head.landmarks)
+    skin = bpy.data.objects.new(name, mesh)
+    collection = bpy.data.collections.new(name)
+    context.collection.children.link(collection)
+    collection.objects.link(skin)
+    _subdivide_in_renders(skin)
+    write_regions(skin, head.regions)
+    parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
+    lashes = mesh_of(parts[PART_NAMES.index("lashes")])
+    write_kinds(lashes, np.full(len(lashes.vertices), Part.ON_SKIN))
+    attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
+    if units:
+        _add_units(skin, head.vertices, head.unit_names, head.units)
+        for obj, part in zip(parts, head.parts, strict=True):
+            _add_units(obj, part.vertices - part.pivot, head.unit_names, part.units)
+    else:
+        out = head.unit_names.index(TONGUE_KEY)
+        for obj, part in zip(parts, head.parts, strict=True):
+            if part.name == "tongue":
+                _add_units(obj, part.vertices - part.pivot, (TONGUE_KEY,), part.units[out : out + 1])
+    select_alone(context, skin)
+    return skin
+
+
+def _mesh(
+    name: str,
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.int32],
+    uv: NDArray[np.float32],
+    material: bpy.types.Material,
+) -> bpy.types.Mesh:
+    """Create a smooth-shaded mesh from (V, 3) vertices in the head frame and (F, 4) faces padded with -1."""
+    mesh = bpy.data.meshes.new(name)
+    corner = faces >= 0
+    counts = corner.sum(axis=1)
+    mesh.vertices.add(len(vertices))
+    mesh.loops.add(int(counts.sum()))
+    mesh.polygons.add(len(faces))
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(to_blender(vertices), dtype=np.float32).reshape(-1))
+    mesh.loops.foreach_set("vertex_index", faces[corner].astype(np.int32))
+    mesh.polygons.foreach_set("loop_start", (np.cumsum(counts) - counts).astype(np.int32))
+    mesh.polygons.foreach_set("loop_total", counts.astype(np.int32))
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
+    layer = mesh.uv_layers.new(name=UV_MAP)
+    layer.data.foreach_set("uv", np.ascontiguousarray(uv[corner], dtype=np.float32).reshape(-1))
+    mesh.materials.append(material)
+    mesh.update(calc_edges=True)
+    return mesh
+
+
+def _subdivide_in_renders(obj: bpy.types.Object) -> None:
+    """Add a subdivision for renders only: in the viewport it would take far longer than the rest of a live frame."""
+    modifier = obj.modifiers.new("Subdivision", "SUBSURF")
+    assert isinstance(modifier, bpy.types.SubsurfModifier)
+    modifier.levels, modifier.render_levels, modifier.show_viewport = 1, _RENDER_LEVELS, False
+
+
+def _add_part(
+    collection: bpy.types.Collection, parent: bpy.types.Object, part: HeadPart, material: bpy.types.Material
+) -> bpy.types.Object:
+    """Add a child of `parent` whose origin is the part's pivot."""
+    mesh = _mesh(PART_OBJECTS[part.name], part.vertices - part.pivot, part.faces, part.uv, material)
+    obj = bpy.data.objects.new(PART_OBJECTS[part.name], mesh)
+    obj[PART_PROPERTY] = part.name
+    collection.objects.link(obj)
+    obj.parent = parent
+    obj.location = to_blender(part.pivot).tolist()
+    return obj
+
+
+def _add_units(
+    obj: bpy.types.Object, rest: NDArray[np.float32], names: tuple[str, ...], units: NDArray[np.float32]
+) -> None:
+    """Add shape keys of all units to a part that any of them moves, including those that leave this part unchanged, as
+    programs that drive ARKit's 52 keys look each of them up by name.
+    """
+    if not units.any():
+        return
+    obj.shape_key_add(name="Basis", from_mix=False)
+    for name, offsets in zip(names, units, strict=True):
+        key = obj.shape_key_add(name=name, from_mix=False)
+        points = np.ascontiguousarray(to_blender(rest + offsets), dtype=np.float32)
+        key.points.foreach_set("co", points.reshape(-1))
+        key.value = 0.0  # since Blender 5.0 the default is 1
+
+
+_READERS = {".tri": read_tri, ".obj": read_obj}
+
+
+def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIMETRE) -> bpy.types.Object:
+    """Import a head as the active object.
+
+    Parameters
+    ----------
+    path : Path
+        A `.tri` or `.obj` file; the modes of an `.egm` file next to it are imported as well.
+    scale : float
+        Metres per unit of the file.
+
+    Raises
+    ------
+    SourceError
+        If a file is damaged or not a FaceGen head.
+    """
+    if path.suffix.lower() not in _READERS:
+        raise SourceError("{path} is not a FaceGen head. Choose a .tri or .obj file.", path=path)
+    head = _READERS[path.suffix.lower()](path)
+    modes = next((read_egm(file, head) for file in _beside(path)), ())
+    mesh = _facegen_mesh(path.stem, head, scale)
+    obj = bpy.data.objects.new(path.stem, mesh)
+    context.collection.objects.link(obj)
+    _add_keys(obj, head.vertices, (*head.morphs, *modes), scale)
+    select_alone(context, obj)
+    return obj
+
+
+def _beside(path: Path) -> list[Path]:
+    return [file for file in (path.with_suffix(".egm"), path.with_suffix(".EGM")) if file.is_file()]
+
+
+def _facegen_mesh(name: str, head: FaceGenMesh, scale: float) -> bpy.types.Mesh:
+    mesh = bpy.data.meshes.new(name)
+    faces = [[int(vertex) for vertex in face if vertex >= 0] for face in head.faces]
+    mesh.from_pydata((to_blender(head.vertices) * scale).tolist(), [], faces)
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
+    if head.uv is not None:
+        layer = mesh.uv_layers.new(name=UV_MAP)
+        layer.data.foreach_set("uv", np.ascontiguousarray(head.uv[head.faces >= 0]).reshape(-1))
+    mesh.update()
+    return mesh
+
+
+def _add_keys(
+    obj: bpy.types.Object,
+    rest: NDArray[np.float32],
+    morphs: tuple[tuple[str, NDArray[np.float32]], ...],
+    scale: float,
+) -> None:
+    if not morphs:
+        return
+    obj.shape_key_add(name="Basis", from_mix=False)
+    for name, offsets in morphs:
+        key = obj.shape_key_add(name=name, from_mix=False)
+        key.points.foreach_set("co", (to_blender(rest + offsets) * scale).astype(np.float32).reshape(-1))
+        key.value = 0.0

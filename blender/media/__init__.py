@@ -1,1 +1,0 @@
-"""Images, videos and sound: import and export."""

@@ -1,1 +1,0 @@
-"""Batches: many clips, each in a process of its own, here or on other machines, with one report."""

@@ -1,0 +1,197 @@
+"""Files of a job: takes that are loaded or tracked, outputs, which are claimed, and what needs Blender's module."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..core.errors import FacemimeError, Message, SourceError
+from ..core.files.writing import check_distinct, check_writable, claimed, free_name, settle
+from ..core.media.capture import check_readable, require_file
+from ..core.takes.file import SUFFIX, load_take
+from ..core.takes.from_video import track_video
+from ..core.takes.take import Take
+from ..core.tracking.result import TrackResult
+from ..core.tracking.tracker import FaceTracker
+from ..core.tracking.tracking_settings import DEFAULTS, TrackingSettings
+from .console import Progress, tell
+from .stopping import INTERRUPTED, STOPPING
+
+INTERRUPTED_NAME = ".interrupted"
+
+
+def load_with_warnings(path: Path) -> Take:
+    """Load a take; what is missing from its file is reported on the standard error.
+
+    Raises
+    ------
+    SourceError
+        If it cannot be read.
+    """
+    check_readable(path)
+    take = load_take(path)
+    _tell_what_is_missing(path, take)
+    return take
+
+
+def _tell_what_is_missing(path: Path, take: Take) -> None:
+    """Report on the standard error what could not be read of `path`, the file of a take or its video."""
+    if lost := take.info.get("recovered"):
+        tell(f"facemime: {path}: {lost}")
+
+
+_UNFINISHED = f".unfinished{SUFFIX}"
+
+
+def unfinished_beside(output: Path) -> Path:
+    """File for the unfinished take of `output`."""
+    return output.with_suffix(_UNFINISHED)
+
+
+def place_beside(output: Path, suffix: str) -> Path:
+    """File for the result of an interrupted run: `output` if it does not exist, otherwise a free name beside it.
+
+    Parameters
+    ----------
+    output : Path
+        The file that was asked for.
+    suffix : str
+        Suffix of the result.
+    """
+    if not os.path.lexists(output):
+        return output
+    return free_name(output.with_suffix(f"{INTERRUPTED_NAME}{suffix}"))
+
+
+@contextlib.contextmanager
+def growing(unfinished: Path) -> Iterator[Path]:
+    """Yield a free name for an unfinished take; if what follows fails, the error names that file.
+
+    An unfinished take of an earlier run is kept, with a message.
+    """
+    name = free_name(unfinished)
+    if name != unfinished:
+        tell(f"facemime: {unfinished} is from an earlier run that did not finish; it is kept.")
+    try:
+        yield name
+    except FacemimeError as error:
+        if str(name) in str(error) or not name.exists():
+            raise
+        raise type(error)(Message("{error} What was tracked is in {name}.", error=error, name=name)) from error
+    except KeyboardInterrupt as stop:
+        if not name.exists():
+            raise
+        raise KeyboardInterrupt(Message("what was tracked is in {name}", name=name)) from stop
+
+
+def track(
+    video: Path, unfinished: Path, face: tuple[float, float] | None, settings: TrackingSettings = DEFAULTS
+) -> Take:
+    """Track `video`, writing the take to `unfinished` at the same time.
+
+    Parameters
+    ----------
+    unfinished : Path
+        File that grows while tracking.
+    face : (float, float) or None
+        As for `FaceTracker.choose`.
+
+    Raises
+    ------
+    SourceError
+        If the video cannot be read, or no face was found in it.
+    """
+    require_file(video)
+    tracker = FaceTracker.load(settings=settings)
+    progress = Progress(f"Tracking {video.name}")
+
+    def on_frame(done: int, total: int, _: TrackResult) -> bool:
+        progress.update(done, total)
+        return not STOPPING.heard
+
+    with STOPPING.noting():
+        track_video(video, tracker, on_frame, unfinished, face)
+    take = load_take(unfinished)
+    progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
+    _tell_what_is_missing(video, take)
+    if not take.found.any() and not take.info.get("interrupted"):
+        unfinished.unlink()
+        raise SourceError(
+            "No face was found in any frame of {video}. Use a video with one face, well lit and towards the camera.",
+            video=video,
+        )
+    return take
+
+
+def keep_interrupted(take: Take, unfinished: Path, kept: Path) -> int:
+    """Move the take of an interrupted run to `kept`, with a message; returns the exit status.
+
+    Parameters
+    ----------
+    unfinished : Path
+        The file that grew.
+    kept : Path
+        The file to keep.
+    """
+    settle(unfinished, kept)
+    tell(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.")
+    return INTERRUPTED
+
+
+Outputs = Sequence[tuple[Path | None, Collection[str]]]
+
+
+@contextlib.contextmanager
+def outputs_of(outputs: Outputs, inputs: Mapping[str, Path | None], *more: Path) -> Iterator[None]:
+    """Check the outputs of a command, and claim them for this process.
+
+    Parameters
+    ----------
+    outputs : sequence of (Path or None, suffixes)
+        Outputs that the user named, and their allowed suffixes.
+    inputs : mapping of str to (Path or None)
+        Inputs by their description, which must not be overwritten.
+
+    Raises
+    ------
+    OutputError
+        If an output cannot be written, is an input, or is being written by another process.
+    """
+    for path, suffixes in outputs:
+        if path is not None:
+            check_writable(path, suffixes)
+    named = [path for path, _ in outputs if path is not None]
+    check_distinct(named, inputs)
+    with claimed(*named, *more):
+        yield
+
+
+@contextmanager
+def importing_blender(what: str, line: str = "...") -> Iterator[None]:
+    """Import modules that need Blender within this context.
+
+    Parameters
+    ----------
+    what : str
+        What needs Blender: a command, an option or an input.
+    line : str
+        The command line to advise, after `facemime`.
+
+    Raises
+    ------
+    FacemimeError
+        If a module cannot be imported.
+    """
+    try:
+        with STOPPING.importing():
+            yield
+    except ImportError as error:
+        raise FacemimeError(
+            "{what} needs Blender ({error}). Run: blender --command facemime {line}, or install bpy.",
+            what=what,
+            error=error,
+            line=line,
+        ) from error

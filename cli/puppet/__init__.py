@@ -1,1 +1,0 @@
-"""The commands `track` and `puppet`."""
