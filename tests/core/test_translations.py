@@ -1,9 +1,11 @@
 """Every text of the interface can be translated, and is translated into Chinese."""
 
+import ast
 import importlib.util
 import json
 import re
 from pathlib import Path
+from string import Formatter
 
 import pytest
 
@@ -12,6 +14,7 @@ _SPEC = importlib.util.spec_from_file_location("strings", ROOT / "tools" / "stri
 strings = importlib.util.module_from_spec(_SPEC)
 _SPEC.loader.exec_module(strings)
 LANGUAGES = sorted(strings.TRANSLATIONS.glob("*.json"))
+SOURCES = [*strings.message_sources(), *strings._modules("cli/**/*.py")]
 
 
 def test_no_chinese_translation_is_missing():
@@ -39,11 +42,21 @@ Message(LOST)
 print("Done already")
 """
     )
-    found = list(strings.messages(module))
-    assert sorted(found) == sorted(
-        ["Chin", "Tip of the nose", "{path} is missing.", "it has no rows", "it has {count} rows", "Written to {path}"]
-        + ["The face was lost."]
-    )
+    assert set(strings.messages(module)) == {
+        *("The face was lost.", "Chin", "Tip of the nose", "{path} is missing.", "Written to {path}"),
+        *("it has no rows", "it has {count} rows"),
+    }
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda path: path.relative_to(ROOT).as_posix())
+def test_messages_are_given_the_values_that_their_templates_name(path):
+    makers = strings._makers()
+    for call in (node for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(node, ast.Call)):
+        given = {word.arg for word in call.keywords}
+        for template in call.args[makers.get(strings._name(call.func), len(call.args)) :][:1]:
+            named = {name for text in strings._texts(template) for _, name, *_ in Formatter().parse(text) if name}
+            if list(strings._texts(template)) and None not in given:
+                assert named == given, f"line {call.lineno}"
 
 
 def test_a_message_is_no_f_string(tmp_path):
