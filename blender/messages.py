@@ -15,6 +15,7 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface, pgettext_rpt, pgettext_tip
 
+from ..core.errors import Message
 from ..core.files.assets import ASSETS
 
 FOLDER = ASSETS / "translations"
@@ -104,7 +105,16 @@ def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
     lookup : callable, optional
         `interface` for labels; by default as for reports. Both respect the user's preferences.
     """
-    return _templates().translate(message, lookup or _in_report)
+    lookup = lookup or _in_report
+    if not isinstance(message, Message):
+        return _templates().translate(message, lookup)
+    if not message.values:
+        return lookup(message.template)
+    values = {
+        name: translated(value, lookup) if isinstance(value, Message) else value
+        for name, value in message.values.items()
+    }
+    return lookup(message.template).format(**values)
 
 
 def _in_report(text: str) -> str:
@@ -137,6 +147,7 @@ def _templates() -> Templates:
 def _pattern_of(text: str) -> str:
     parts = _PLACEHOLDER.split(text)
     literals, names = parts[::2], parts[1::2]
-    return re.escape(literals[0]) + "".join(
-        f"(?P<{name}>.*?){re.escape(literal)}" for name, literal in zip(names, literals[1:], strict=True)
-    )
+    pattern = re.escape(literals[0])
+    for place, (name, literal) in enumerate(zip(names, literals[1:], strict=True)):
+        pattern += (f"(?P={name})" if name in names[:place] else f"(?P<{name}>.*?)") + re.escape(literal)
+    return pattern

@@ -48,7 +48,7 @@ def add_commands(commands: Commands) -> None:
         help="a take whose motion ARKit's keys shall reproduce; may be repeated",
     )
     bind.add_argument("--cut-open", action="store_true", help="cut open lips and eyes that are joined, as on a scan")
-    points = "; ".join(f"{number} {name}" for number, name in sorted(MARKS.items()))
+    points = "; ".join(f"{number} {name.lower()}" for number, name in sorted(MARKS.items()))
     bind.add_argument(
         "--mark",
         type=parse_mark,

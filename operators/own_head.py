@@ -97,7 +97,7 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     point: EnumProperty(
         name="Point",
         description="Left and right are the head's own",
-        items=[(str(number), name.capitalize(), "") for number, name in MARKS.items()],
+        items=[(str(number), name, "") for number, name in MARKS.items()],
     )
 
     def work(self, context: bpy.types.Context) -> None:

@@ -32,20 +32,6 @@ _ERRORS = {
     "MisnamedError",
     "VertexTakenError",
 }
-_READERS = (
-    "core/files/*.py",
-    "core/face/*.py",
-    "core/media/*.py",
-    "core/numeric/*.py",
-    "core/takes/*.py",
-    "core/recordings/*.py",
-    "core/heads/facegen.py",
-    "core/bake/key_map.py",
-    "core/control_points/select.py",
-)
-"""Modules that read files of users: their ValueErrors become reasons within messages."""
-_REASONS = {"ValueError", "fail", "count", "vectors", "array", "indices", "_need"}
-"""Their arguments are reasons, or name what one is about: the latter are methods that read FaceGen's files."""
 _MESSAGES = {"report", "Finding", "Quality", "_chosen"}
 _FUNCTIONS = {
     *("doubt", "explain_failure", "missing_parts", "summary", "turn_note", "problem"),
@@ -83,11 +69,6 @@ def sources() -> list[Path]:
 def message_sources() -> list[Path]:
     """Return the modules with messages."""
     return _modules(*(f"{room}/**/*.py" for room in ("core", "blender", "settings", "sessions", "operators", "ui")))
-
-
-def reader_sources() -> list[Path]:
-    """Return the modules with reasons why a file of a user cannot be read."""
-    return _modules(*_READERS)
 
 
 def _modules(*patterns: str) -> list[Path]:
@@ -146,15 +127,6 @@ def _texts(node: ast.expr) -> Iterator[str]:
     elif isinstance(node, ast.IfExp):
         yield from _texts(node.body)
         yield from _texts(node.orelse)
-
-
-def reasons(path: Path) -> Iterator[str]:
-    """Yield the messages of the ValueErrors of a module, and the templates of those that contain values."""
-    constants = dict(_constants(_nodes(path)[0]))
-    for node in _nodes(path):
-        if isinstance(node, ast.Call) and _name(node.func) in _REASONS:
-            for part in node.args:
-                yield from _templates(part, constants)
 
 
 def messages(path: Path) -> Iterator[str]:
@@ -251,6 +223,38 @@ def _value_name(node: ast.expr) -> str:
     return next((_value_name(part) for part in ast.walk(node) if isinstance(part, ast.Name | ast.Attribute)), "value")
 
 
+@cache
+def _assigned(path: Path) -> dict[str, ast.expr]:
+    """Return what a module assigns to its constants."""
+    made = (node for node in _nodes(path) if isinstance(node, ast.Assign))
+    return {node.targets[0].id: node.value for node in made if isinstance(node.targets[0], ast.Name)}
+
+
+def made_messages(path: Path) -> Iterator[str]:
+    """Yield the constants and templates of a module's messages."""
+    for node in _nodes(path):
+        if not isinstance(node, ast.Call) or not node.args:
+            continue
+        if (called := _name(node.func)) in _made() or called == "Message":
+            yield from _texts(_assigned(path).get(_name(node.args[0]), node.args[0]))
+        elif called == "messages":
+            for part in ast.walk(node.args[0]):
+                for value in getattr(part, "values", ()):
+                    yield from _texts(value)
+
+
+@cache
+def _made() -> set[str]:
+    """Return the names of the classes of errors, which are made like messages: those of core/errors.py, and others
+    that are derived from them.
+    """
+    names = {node.name for node in _nodes(ROOT / "core" / "errors.py") if isinstance(node, ast.ClassDef)}
+    classes = [node for path in message_sources() for node in _nodes(path) if isinstance(node, ast.ClassDef)]
+    while more := {node.name for node in classes if names & set(map(_name, node.bases))} - names:
+        names |= more
+    return names
+
+
 def _name(node: ast.expr) -> str:
     return str(getattr(node, "id", getattr(node, "attr", "")))
 
@@ -259,8 +263,8 @@ def _name(node: ast.expr) -> str:
 def wanted() -> list[str]:
     """Return all texts and templates, each once, in the order of the sources."""
     texts = [text for path in sources() for text in strings(path)]
-    texts += [text for path in message_sources() for text in messages(path)]
-    texts += [text for path in reader_sources() for text in reasons(path)]
+    texts += [text for path in message_sources() for text in made_messages(path)]
+    texts += [text for path in message_sources() if "core" not in path.parts for text in messages(path)]
     return list(dict.fromkeys(texts))
 
 

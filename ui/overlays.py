@@ -312,7 +312,7 @@ def _draw_guide(seen: Viewport, placing: Placing, next_mark: int, scale: float) 
     marked = [outline[from_ibug([number])[0]] for number in placing.asked[: placing.step]]
     draw_triangles([dot(place, 0.6 * _DOT * scale, _MARKED) for place in marked])
     draw_triangles(_rimmed(asked, _DOT * scale, _ASKED, scale))
-    name = _(MARKS[next_mark].capitalize())
+    name = _(MARKS[next_mark])
     number, count = placing.step + 1, len(placing.asked)
     text = _("{number} of {count}: {name}").format(number=number, count=count, name=name)
     draw_text(text, (corner[0], corner[1] + size + 12 * scale), 14 * scale, WHITE)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.refine import refined_keys
-from ...core.errors import HeadError
+from ...core.errors import HeadError, Message
 from ...core.face.coefficient_names import COEFFICIENT_INDEX
 from ...core.heads.built_in import HEAD_FILE, WOMAN_FILE, HeadPart, load_head
 from ...core.heads.rig import HeadRig
@@ -65,7 +65,7 @@ class MadeKeys:
         return f"{self.added} shape keys added, {len(self.kept)} kept"
 
     @property
-    def findings(self) -> list[str]:
+    def findings(self) -> list[Message]:
         """Warnings about how well the keys close the eyes and lips, and about intersections."""
         return findings(self.qualities)
 

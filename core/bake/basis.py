@@ -13,8 +13,10 @@ from ..numeric.linalg import multiply
 
 _ROWS = 4
 """Number of frames processed at a time."""
-_SPARE, _POWER_ITERATIONS = 16, 2
-"""Mixtures of frames beyond the number of modes, and iterations, with which long motions are searched for modes."""
+_SPARE = 16
+"""Mixtures of frames, beyond the number of modes, with which long motions are searched for modes."""
+_POWER_ITERATIONS = 2
+"""Iterations of that search."""
 _LONG = 4
 """Number of frames per mixture from which a motion is long."""
 

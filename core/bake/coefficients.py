@@ -19,16 +19,22 @@ from .least_squares import bounded_least_squares, bounded_minimum
 
 _SPARSITY = 1.0
 """`lambda` of equation 9.3: weight of the sum of the coefficients in the first fit."""
-_SHARPNESS, _SMALL = 0.6, 0.05
-"""`tau` and `s` of equation 9.4: weight of ``(a / (a_0 + s))^2`` in later fits, and the value below which a coefficient
-counts as absent."""
+_SHARPNESS = 0.6
+"""`tau` of equation 9.4: weight of ``(a / (a_0 + s))^2`` in later fits."""
+_SMALL = 0.05
+"""`s` of equation 9.4: value below which a coefficient counts as absent."""
 _TOGETHER = 0.5
 """`kappa` of equation 9.4: weight of the prior in later fits."""
 _LEFT = 0.1
 """Share of the covariance of the neutral face's error that remains once the error was estimated."""
-_ROUNDS, _SAMPLE, _INDEPENDENT, _CALM = 4, 100, 40.0, 0.3
-"""Estimation of the neutral face's error (equation 9.5): number of rounds and of frames, largest number of frames that
-count as independent, as neighbours err alike, and sum of coefficients below which frames count alike."""
+_ROUNDS = 4
+"""Number of iterations of equation 9.5."""
+_SAMPLE = 100
+"""Largest number of frames of a take from which the neutral face's error is estimated."""
+_INDEPENDENT = 40.0
+"""`m` of equation 9.5: largest number of frames that count as independent, as neighbours err alike."""
+_CALM = 0.3
+"""Sum of coefficients below which frames count alike in equation 9.5."""
 _EXCLUDED = 1e6
 """Penalty of the weaker coefficient of an exclusive pair, far above what an observation could outweigh."""
 _PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
@@ -64,6 +70,8 @@ class CoefficientSolver:
         self._known = known
         self._model = model
         self._responses = model.responses[:, known]
+        # Precisions of equation 9.3: of a frame about its face, and of a neutral face about the true one. A single
+        # frame bears both errors, a take that has found its neutral face only what is left of the second.
         frame, neutral = (spread.matrix()[np.ix_(known, known)] for spread in (model.frame, model.neutral))
         self._within, self._between = linalg.inv(frame), linalg.inv(neutral)
         self._single = self._fitting(linalg.inv(frame + neutral))
@@ -129,6 +137,8 @@ class CoefficientSolver:
         Alternates between the coefficients of some frames and the error (equation 9.5).
         """
         values = observed[:, self._known]
+        # Equation 9.5 in turns. The mean of n independent frames knows the error e of the neutral face with precision n
+        # W, the prior with B: e = (n W + B)^-1 n W (mean of what the coefficients leave).
         some = values[np.unique(np.linspace(0, len(values) - 1, min(_SAMPLE, len(values))).astype(np.intp))]
         weighed = min(_INDEPENDENT, len(values)) * self._within
         correct, error = linalg.solve(weighed + self._between, weighed), np.zeros(values.shape[1])
@@ -155,7 +165,9 @@ class CoefficientSolver:
         found = fitted[:, -len(FITTED) :]
         if not self._correction or not self._known.all():
             return found
+        # What the network adds to a face at rest is subtracted, so that rest stays at 0.
         found = np.clip(found + self._lacking(fitted) - self._at_rest, 0.0, 1.0)
+        # The sum may show both of a pair, such as the jaw to both sides, or lips shut further than the jaw is open.
         weaker = _PLACES[np.arange(len(_PLACES)), found[:, _PLACES].argmin(axis=2)]
         np.put_along_axis(found, weaker, 0.0, axis=1)
         found[:, _CLOSES] = np.minimum(found[:, _CLOSES], found[:, _OPENS])
@@ -169,6 +181,7 @@ class CoefficientSolver:
 
     def _fitting(self, precision: FloatArray) -> _Fitting:
         """Prepare fits with a precision matrix (D, D) of the known values."""
+        # R P y and R P R^T of the normal equations, for responses R and the precision P.
         readout = self._responses @ precision
         gram = readout @ self._responses.T
         return _Fitting(np.ascontiguousarray(readout.T), 0.5 * (gram + gram.T))
@@ -178,6 +191,8 @@ class CoefficientSolver:
         gram, products = by.gram, multiply(values, by.readout)
         count = len(gram)
         lower, upper = np.zeros(count), np.ones(count)
+        # Equation 9.3, whose penalty shrinks all coefficients; then rounds of equation 9.4, in which the result a_0 of
+        # the last round sets the penalty (a / (a_0 + s))^2: it presses weak ones to 0 and hardly shrinks strong ones.
         found = bounded_least_squares(gram + self._model.together, products - _SPARSITY, lower, upper, near)
         if near is not None:
             near[:] = found
@@ -192,6 +207,7 @@ class CoefficientSolver:
 
     def _finished(self, found: FloatArray, values: FloatArray) -> FloatArray:
         """Let the lips be as far apart as observed, by mouthClose, which cannot exceed jawOpen; scale; append."""
+        # The gap is linear in the coefficients, and mouthClose changes it by gap[_CLOSES], which is negative.
         gap = _LIP_GAP @ self._responses[:, : 3 * N_LANDMARKS].T
         apart = found @ gap - values[:, : 3 * N_LANDMARKS] @ _LIP_GAP
         closed = found[:, _CLOSES] + apart / -gap[_CLOSES]

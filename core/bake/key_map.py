@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import DataError, Message, SourceError
 from ..face.coefficient_names import EXCLUSIVE_NAMES
 from ..files.assets import ASSETS
 from ..files.reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
@@ -36,7 +36,7 @@ ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
-"""Ridge of equation 9.6 towards the gains of the given table."""
+"""Ridge of equation 9.7 towards the gains of the given table."""
 _FIRMNESS = 1e5
 """Weight of the given values in `KeyMap.invert`, relative to the coefficients that are near: far more, but well within
 double precision."""
@@ -91,7 +91,11 @@ class KeyPose:
             data = as_object(parse_json(text), "the text")
             numbers = as_list(data.get("coefficients"), "coefficients", len(COEFFICIENTS))
             if len(numbers) != len(COEFFICIENTS):
-                raise ValueError(f"there are {len(numbers)} coefficients, not {len(COEFFICIENTS)}")
+                raise DataError(
+                    "there are {numbers} coefficients, not {coefficients}",
+                    numbers=len(numbers),
+                    coefficients=len(COEFFICIENTS),
+                )
             values = as_object(data.get("values"), "values")
             return cls(
                 np.array([as_number(number, "a coefficient", -_MAX_VALUE, _MAX_VALUE) for number in numbers]),
@@ -99,7 +103,8 @@ class KeyPose:
             )
         except ValueError as error:
             raise SourceError(
-                f"A stored pose is damaged ({error}) and was removed. Add it again, or learn from the others."
+                "A stored pose is damaged ({error}) and was removed. Add it again, or learn from the others.",
+                error=error,
             ) from error
 
 
@@ -139,8 +144,15 @@ class KeyMap:
         """Return a text that says how much of a performance the keys can show."""
         keys, shown_of = len(self.keys), len(self.sources)
         if shown_of == len(COEFFICIENTS):
-            return f"{self.short_name}: {keys} shape keys for all 52 movements."
-        return f"{self.short_name}: {keys} shape keys for {shown_of} of 52 movements."
+            return Message(
+                "{short_name}: {keys} shape keys for all 52 movements.", short_name=self.short_name, keys=keys
+            )
+        return Message(
+            "{short_name}: {keys} shape keys for {shown_of} of 52 movements.",
+            short_name=self.short_name,
+            keys=keys,
+            shown_of=shown_of,
+        )
 
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
         """Compute the values of shape keys.
@@ -240,12 +252,12 @@ def from_json(text: str) -> KeyMap:
         rows = as_list(data.get("rows"), "rows", _MAX_ROWS)
         return KeyMap(as_text(data.get("name"), "name"), tuple(_row(as_object(row, "a row")) for row in rows))
     except ValueError as error:
-        raise SourceError(f"This is not a key mapping ({error}). Use one exported by Facemime.") from error
+        raise SourceError("This is not a key mapping ({error}). Use one exported by Facemime.", error=error) from error
 
 
 def _row(data: Mapping[str, Any]) -> KeyRow:
     if (source := as_text(data.get("source"), "source")) not in COEFFICIENTS:
-        raise ValueError(f"{shown(source)} is not an ARKit coefficient")
+        raise DataError("{source} is not an ARKit coefficient", source=shown(source))
     key = as_text(data.get("key"), "key")
     gain, offset = (
         as_number(data.get(name, default), f"the {name} of {shown(key)}", -_MAX_VALUE, _MAX_VALUE)
@@ -260,9 +272,9 @@ def load_map(path: Path) -> KeyMap:
     try:
         return from_json(read_text(Path(path)))
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} cannot be read ({error}). Choose a key mapping.") from error
+        raise SourceError("{path} cannot be read ({error}). Choose a key mapping.", path=path, error=error) from error
     except SourceError as error:
-        raise SourceError(f"{path}: {error}") from error
+        raise SourceError("{path}: {error}", path=path, error=error) from error
 
 
 @lru_cache(maxsize=1)

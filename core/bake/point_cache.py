@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import DataError
 from ..files.writing import replacing
 from ..numeric.arrays import FloatArray
 
@@ -42,7 +43,9 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
         stream.write(bytes(_HEADER.size))
         for sample in samples:
             if sample.shape != (vertices, 3):
-                raise ValueError(f"a sample has the shape {sample.shape}, not {(vertices, 3)}")
+                raise DataError(
+                    "a sample has the shape {shape}, not {expected}", shape=sample.shape, expected=(vertices, 3)
+                )
             stream.write(np.ascontiguousarray(sample, dtype="<f4").tobytes())
             count += 1
         stream.seek(0)

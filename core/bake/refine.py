@@ -31,7 +31,7 @@ def refined_keys(
     takes: Sequence[Take],
     progress: Callable[[float], None] = lambda share: None,
 ) -> NDArray[np.float32]:
-    """Refine ARKit's keys of a head by what takes do to it (equation 9.7).
+    """Refine ARKit's keys of a head by what takes do to it (equation 9.8).
 
     Parameters
     ----------
@@ -68,6 +68,7 @@ def refined_keys(
         chosen = np.zeros(len(take), dtype=bool)
         chosen[found[np.linspace(0, len(found) - 1, min(_FRAMES, len(found))).round().astype(np.intp)]] = True
         sample = take.part(chosen)
+        # Sums of the normal equations of 9.8 over frames: C^T C and C^T X, so that no motion has to be kept.
         amounts = arkit_coefficients(sample, neutral)[:, columns]
         driver = HeadDriver(skin, neutral, reuse=driver)
         together += amounts.T @ amounts
@@ -76,6 +77,8 @@ def refined_keys(
             moved = (driver.frame(sample.result(number)).vertices - driver.rest).reshape(-1)
             shown += np.outer(amount, moved)
             progress((done + (number + 1) / len(amounts)) / len(takes))
+    # X = (C^T C + l n 1)^-1 (C^T M + l n K) for keys X near the former K; solved for the change X - K, which is 0 for
+    # keys that the takes do not show.
     loyal = together + _LOYALTY * max(count, 1) * np.eye(len(names))
     change = linalg.solve(loyal, shown - together.astype(np.float32) @ keys)
     still = ~motions.any(axis=(1, 2))

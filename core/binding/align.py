@@ -12,13 +12,17 @@ from ..numeric.arrays import FloatArray
 from .template import Surface, Template
 
 _SCALES = (0.8, 1.0, 1.25)
+"""Starts of the alignment without marks: sizes relative to the mesh's half width."""
 _HEIGHTS = (-0.35, -0.15, 0.05, 0.25)
-"""Starts of the alignment without marks: size relative to the mesh's half width, and height of the eyes relative to the
-middle of the mesh, in heights of the mesh."""
+"""Starts: heights of the eyes relative to the middle of the mesh, in heights of the mesh."""
 _RIGID_STEPS = 25
-_COARSE, _COARSE_STEPS, _PURSUED = 16, 8, 3
-"""Of all starts, steps with one in this many vertices of the template, and number of the best that are continued: a
-third of the time that it takes to continue all, for the same landmarks on the heads of the tests."""
+_COARSE = 16
+"""All starts are followed with one in this many vertices of the template."""
+_COARSE_STEPS = 8
+"""Number of steps for which they are."""
+_PURSUED = 3
+"""Number of the best starts that are continued: a third of the time that it takes to continue all, for the same
+landmarks on the heads of the tests."""
 
 Pose = tuple[float, FloatArray, FloatArray]
 """Scale, rotation and translation of the template: ``s R x + t``."""
@@ -44,6 +48,8 @@ def rough_poses(template: Template, surface: Surface) -> list[tuple[float, Pose]
     found: list[tuple[float, Pose]] = []
     for scale in _SCALES:
         size = scale * float(high[0] - low[0]) / 2.0
+        # The face, which is nearest to the viewer (smallest z), starts at the depth of the mesh's front; a percentile
+        # instead of the minimum, as a hat's brim or a strand of hair is farther in front.
         depth = float(np.percentile(surface.places[:, 2], 0.5)) - size * float(
             template.places[template.skin[::2], 2].min()
         )
@@ -100,6 +106,7 @@ def follow(
         placed = size * template.places[skin] @ rotation.T + shift
         pairs = surface.nearest(placed, template.normals[skin] @ rotation.T)
         goal = surface.places[pairs]
+        # Trimming: ears, hair and the neck of the template have no counterpart on many meshes, and would pull the face.
         distance = np.linalg.norm(goal - placed, axis=1)
         kept = distance <= np.quantile(distance, 0.8)
         if before is not None and np.array_equal(pairs, before):
@@ -128,10 +135,12 @@ def similarity(source: FloatArray, target: FloatArray) -> Pose:
     """
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     a, b = source - from_centre, target - to_centre
+    # Points on a line leave the rotation about it open: their second singular value is 0.
     spread = linalg.svdvals(a)
     if spread[1] < 1e-6 * spread[0]:
         raise HeadError("The marked points lie on one line. Mark eyes, nose and mouth.")
     rotation = fit_rotation(a, b)
+    # s = <b, R a> / |a|^2 minimises |s R a - b|^2 for the best R.
     size = float((b * (a @ rotation.T)).sum() / (a * a).sum())
     if not size > 0.0:
         raise HeadError("The marked points do not form a face. Mark them again; left and right are the head's own.")

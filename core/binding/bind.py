@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import HeadError
+from ..errors import HeadError, Message, messages
 from ..face.landmarks import (
     EYE_LEFT,
     EYE_RIGHT,
@@ -35,16 +35,21 @@ from .rest import resting_findings
 from .sight import Sight
 from .template import Surface, Template, load_template
 
-MARKS = {36: "right eye, outer corner", 39: "right eye, inner corner", 42: "left eye, inner corner"} | {
-    45: "left eye, outer corner",
-    30: "tip of the nose",
-    48: "right mouth corner",
-    54: "left mouth corner",
-    8: "chin",
-}
+MARKS = messages(
+    {
+        36: "Right eye, outer corner",
+        39: "Right eye, inner corner",
+        42: "Left eye, inner corner",
+        45: "Left eye, outer corner",
+        30: "Tip of the nose",
+        48: "Right mouth corner",
+        54: "Left mouth corner",
+        8: "Chin",
+    }
+)
 """Points that a user may mark, by iBUG number; all or some of them, in any order."""
 MIN_MARKS = 4
-TOO_COARSE = "The mesh is too coarse for 66 landmarks. Subdivide the face, or use another mesh."
+TOO_COARSE = Message("The mesh is too coarse for 66 landmarks. Subdivide the face, or use another mesh.")
 _ENOUGH = 5 * N_LANDMARKS
 """Number of vertices below which a mesh in which no face is found is too coarse. The built-in head, decimated, is found
 down to 370."""
@@ -119,10 +124,10 @@ class Binding:
         """What to do if this may not be the face; "" if it is `sure`."""
         if self.sure:
             return ""
-        label1, label2, label3, label4 = (MARKS[number].capitalize() for number in self.wanted)
-        return (
+        return Message(
             "This face is unusual. If landmarks are misplaced, mark four points: "
-            f"{label1}; {label2}; {label3}; {label4}"
+            "{label1}; {label2}; {label3}; {label4}",
+            **{f"label{place}": MARKS[number] for place, number in enumerate(self.wanted, 1)},
         )
 
 
@@ -158,7 +163,9 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     places = as_points(vertices, "vertices", error=HeadError)
     picked = {int(from_ibug([number])[0]): int(vertex) for number, vertex in (marks or {}).items()}
     if picked and len(picked) < MIN_MARKS:
-        raise HeadError(f"Mark at least {MIN_MARKS} points, or none; got {len(picked)}.")
+        raise HeadError(
+            "Mark at least {min_marks} points, or none; got {picked}.", min_marks=MIN_MARKS, picked=len(picked)
+        )
     if picked and (min(picked.values()) < 0 or max(picked.values()) >= len(places)):
         raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
     if not len(places):

@@ -52,12 +52,14 @@ def lids_seen(
         Vertices of the skin in the order of `EYES`; None if the eye is shut or hidden.
     """
     look = _look(skin, skin_faces, eye, eye_faces)
+    # Glints, tear ducts and parts of the eye that shine through the cheek are smaller than the visible eye.
     mask = _largest(look.owner >= look.skin)
     if mask is None or np.ptp(np.nonzero(mask)[1]) < _MIN_WIDTH * look.size:
         return None
     if mask.sum(axis=0).max() < _MIN_OPEN * look.size:
         return None
     wanted = _rim_points(mask, left=left)
+    # The rim of the lids is the skin that borders on the visible eye, within a ring of pixels.
     ring = cv2.dilate(mask, np.ones((2 * _RING + 1, 2 * _RING + 1), np.uint8)).astype(bool) & ~mask.astype(bool)
     around = look.owner[ring]
     rim = np.unique(look.triangles[around[(around >= 0) & (around < look.skin)]])

@@ -8,7 +8,7 @@ from itertools import islice
 
 import numpy as np
 
-from ..errors import HeadError
+from ..errors import HeadError, Message
 from ..face.landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
 from ..mesh.surface import surface_normals
 from ..mesh.warp import Warp
@@ -18,7 +18,7 @@ from .sight import Sight, look
 from .template import Surface, Template
 from .views import View, seen_view, views_of
 
-NOT_FOUND = "No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin."
+NOT_FOUND = Message("No face was found on the mesh. Mark the corners of eyes and mouth, nose and chin.")
 _LOW_STRAIN = 0.045
 """Strain in outer-eye distances below which an attitude is accepted. Human heads have 0.02 to 0.035, wrong attitudes
 0.05 and more."""

@@ -100,6 +100,7 @@ class Portrait:
 
     def places(self, points: FloatArray) -> FloatArray:
         """Return the places on the mesh, (N, 3), that are seen at (N, 2) pixels; their depth is NaN beside the mesh."""
+        # Erosion takes the least depth, so the nearest surface, of each neighbourhood.
         nearest = cv2.erode(self.depth, np.ones((_RIM, _RIM), np.uint8))
         x, y = np.clip(np.round(points), 0, SIZE - 1).astype(np.intp).T
         own, rim = self.depth[y, x], nearest[y, x]
@@ -151,10 +152,13 @@ class Sitter:
         corner = centre - pixel * (SIZE - 1) / 2.0
         middle = float(places[:, 2].mean())
         points, depth = (places[:, :2] - corner) / pixel, (places[:, 2] - middle) / pixel
+        # Lambert's law with normals interpolated over each triangle (Phong 1975), so that coarse meshes look smooth.
         drawn = rasterise(points, depth, self.triangles, SIZE)
         facing = (drawn.barycentric[:, :, None] * normals[self.triangles[drawn.triangle]]).sum(axis=1)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
         lit = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(facing @ _LIGHT, 0.0)
+        # A normal along the line of sight (+z) shows the back of a surface: the inside of an open mouth, or an empty
+        # socket.
         hollow = _enclosed(drawn.depth)
         hollow.ravel()[drawn.pixel] = facing[:, 2] > 0.1
         image = np.full(SIZE * SIZE, _BACKDROP)

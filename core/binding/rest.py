@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ..errors import Message
 from ..face.apertures import eye_apertures, mouth_aperture
 from ..face.landmarks import MOUTH_CORNERS, from_ibug
 from ..heads.checks import Finding
@@ -37,12 +38,21 @@ def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
     findings = []
     if float(eye_apertures(shape).max()) < _SHUT:
         findings.append(
-            Finding("The eyes are shut at rest, so blinks would push the lids further.", "Open them in the mesh.")
+            Finding(
+                Message("The eyes are shut at rest, so blinks would push the lids further."),
+                Message("Open them in the mesh."),
+            )
         )
     if float(mouth_aperture(shape)) > _OPEN:
-        findings.append(Finding("The mouth is open at rest, so it would never close.", "Close it in the mesh."))
+        findings.append(
+            Finding(Message("The mouth is open at rest, so it would never close."), Message("Close it in the mesh."))
+        )
     elif _smile(shape) > _SMILE:
-        findings.append(Finding("The face smiles at rest, so it would always smile.", "Make it neutral in the mesh."))
+        findings.append(
+            Finding(
+                Message("The face smiles at rest, so it would always smile."), Message("Make it neutral in the mesh.")
+            )
+        )
     return tuple(findings)
 
 

@@ -112,6 +112,7 @@ def _approached(sitter: Sitter, whole: Portrait, found: FittedShape) -> Sight:
     size, turn = float(found.pose[0]) * whole.pixel, euler_to_matrix(*found.pose[1:4]).T
     if (np.trace(turn) - 1.0) / 2.0 > _TURNED:
         return _close_up(sitter, whole.corner + whole.pixel * found.pose[4:6], size, np.eye(3), found)
+    # A turned head is rotated back by its own pose, and then seen from in front, where the tracker is most accurate.
     middle = whole.places(found.pose[None, 4:6])[0]
     middle[2] = np.nan_to_num(middle[2], nan=float(sitter.places[:, 2].min()))
     ahead = FittedShape(np.array([found.pose[0], 0.0, 0.0, 0.0, *found.pose[4:6]]), found.shape_params)
@@ -138,6 +139,8 @@ def _close_up(sitter: Sitter, centre: FloatArray, size: float, turn: FloatArray,
         search.follow(flipped, FittedShape(start * _MIRRORED_POSE + _SHIFT, np.zeros(pdm.n_modes))),
     ]
     fits = [candidate.fit.fitted for candidate in seen]
+    # Mean of the fit and of the mirrored fit of the mirror image: whatever the tracker does to one side more than to
+    # the other cancels out.
     points, other = (pdm.project(fit.pose, fit.shape_params) for fit in fits)
     points = (points + (other * [-1.0, 1.0] + [SIZE - 1.0, 0.0])[MIRROR]) / 2.0
     shape = (pdm.shape(fits[0].shape_params) + (pdm.shape(fits[1].shape_params) * [-1.0, 1.0, 1.0])[MIRROR]) / 2.0
@@ -157,6 +160,8 @@ def _onto_mesh(places: FloatArray, depth: FloatArray, size: float) -> FloatArray
     A ray may pass through an opening, or beside a narrow face.
     """
     places = places.copy()
+    # The tracker knows depth relative to the face's middle only; the median over the inner landmarks places that
+    # middle.
     ahead = places[:, 2] - depth
     known = ahead[INNER][np.isfinite(ahead[INNER])]
     middle = float(np.median(known)) if len(known) else 0.0

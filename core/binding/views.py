@@ -107,6 +107,8 @@ def seen_view(places: FloatArray, faces: IntArray) -> tuple[View, Sight] | None:
         sight = look(view.places, view.faces)
         if sight is not None and (best is None or sight.clarity > best[1].clarity):
             best = view, sight
+        # Most meshes are upright and face the viewer; the other attitudes are tried while none shows a face beyond
+        # doubt.
         if sight is not None and sight.sure:
             break
     if best is None or len(best[0].part) == len(places):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
-from ..errors import HeadError
+from ..errors import HeadError, Message, messages
 from ..face.landmarks import N_LANDMARKS, from_ibug
 from ..heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from ..mesh.kernels import distances, get_kernel
@@ -32,28 +32,36 @@ KERNEL_OF: Mapping[Search, str] = {"take": DEFAULT_KERNEL, "paper": "gaussian"}
 """Default kernel of each search."""
 
 START: tuple[Mapping[int, str], ...] = (
-    {
-        **{36: "orbicularis oculi, outer corner", 45: "orbicularis oculi, outer corner"},
-        **{39: "orbicularis oculi, inner corner", 42: "orbicularis oculi, inner corner"},
-        **{38: "upper orbicularis oculi", 43: "upper orbicularis oculi"},
-        **{21: "corrugator and procerus", 22: "corrugator and procerus"},
-        **{19: "frontalis, middle", 24: "frontalis, middle", 17: "frontalis, outer", 26: "frontalis, outer"},
-    },
-    {
-        **{48: "zygomaticus", 54: "zygomaticus", 51: "upper orbicularis oris"},
-        **{41: "lower orbicularis oculi", 46: "lower orbicularis oculi"},
-        **{31: "nasalis and levator labii", 35: "nasalis and levator labii"},
-        **{36: "orbicularis oculi, outer corner", 45: "orbicularis oculi, outer corner"},
-        **{39: "orbicularis oculi, inner corner", 42: "orbicularis oculi, inner corner"},
-        **{2: "origin of the zygomaticus", 14: "origin of the zygomaticus"},
-    },
-    {
-        **{48: "depressor anguli oris", 54: "depressor anguli oris", 57: "lower orbicularis oris", 8: "mentalis"},
-        **{66: "depressor labii", 5: "platysma", 11: "platysma"},
-    },
+    messages(
+        {
+            **{36: "orbicularis oculi, outer corner", 45: "orbicularis oculi, outer corner"},
+            **{39: "orbicularis oculi, inner corner", 42: "orbicularis oculi, inner corner"},
+            **{38: "upper orbicularis oculi", 43: "upper orbicularis oculi"},
+            **{21: "corrugator and procerus", 22: "corrugator and procerus"},
+            **{19: "frontalis, middle", 24: "frontalis, middle", 17: "frontalis, outer", 26: "frontalis, outer"},
+        }
+    ),
+    messages(
+        {
+            **{48: "zygomaticus", 54: "zygomaticus", 51: "upper orbicularis oris"},
+            **{41: "lower orbicularis oculi", 46: "lower orbicularis oculi"},
+            **{31: "nasalis and levator labii", 35: "nasalis and levator labii"},
+            **{36: "orbicularis oculi, outer corner", 45: "orbicularis oculi, outer corner"},
+            **{39: "orbicularis oculi, inner corner", 42: "orbicularis oculi, inner corner"},
+            **{2: "origin of the zygomaticus", 14: "origin of the zygomaticus"},
+        }
+    ),
+    messages(
+        {
+            **{48: "depressor anguli oris", 54: "depressor anguli oris", 57: "lower orbicularis oris", 8: "mentalis"},
+            **{66: "depressor labii", 5: "platysma", 11: "platysma"},
+        }
+    ),
 )
 """For each region, the initial landmarks by iBUG number and the muscle that each stands for, the most important
 first."""
+WAS_OFF = "was off by {error} % in frame {frame}"
+"""Template of the reason for a landmark that was added for its error."""
 
 
 @dataclass(frozen=True)
@@ -171,9 +179,17 @@ def greedy_select(
     points = as_points(landmarks, "landmarks", count=N_LANDMARKS, error=HeadError)
     motion = np.asarray(displacements, dtype=np.float64)
     if motion.ndim != 3 or motion.shape[1:] != (N_LANDMARKS, 3) or not len(motion) or not np.isfinite(motion).all():
-        raise HeadError(f"displacements must be finite and of shape (N, {N_LANDMARKS}, 3); got {motion.shape}.")
+        raise HeadError(
+            "displacements must be finite and of shape (N, {n_landmarks}, 3); got {shape}.",
+            n_landmarks=N_LANDMARKS,
+            shape=motion.shape,
+        )
     if max_points < len(REGIONS):
-        raise HeadError(f"At least {len(REGIONS)} control points are needed, one per region; got {max_points}.")
+        raise HeadError(
+            "At least {regions} control points are needed, one per region; got {max_points}.",
+            regions=len(REGIONS),
+            max_points=max_points,
+        )
     plain = search == "paper"
     state = _State(points, motion, kernel or KERNEL_OF[search], frozenset(always), frozenset(never), plain=plain)
     # 1. Points of the muscles, and those that the user requires.
@@ -268,7 +284,7 @@ class _State:
             return False
         error = np.where(open_, self.error, -1.0)
         region, landmark = np.unravel_index(int(np.argmax(error)), error.shape)
-        reason = f"was off by {100 * error.max():.2f} % in frame {self.frame[region, landmark]}"
+        reason = Message(WAS_OFF, error=f"{100 * error.max():.2f}", frame=self.frame[region, landmark])
         return self._change("add", int(region), int(landmark), reason, max_points)
 
     def exchange(self, difference: SkinDifference) -> bool:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..deform.head_deformer import INFORMED
 from ..drive.retarget import retargeter_for
-from ..errors import HeadError, SourceError
+from ..errors import DataError, HeadError, SourceError
 from ..face.landmarks import IBUG68_INDICES, N_LANDMARKS, from_ibug
 from ..files.reading import as_integer, as_list, as_number, as_object, as_text, parse_format, shown
 from ..heads.regions import REGIONS
@@ -134,7 +134,7 @@ def from_json(text: str) -> GreedySelection:
         steps = as_list(data.get("steps"), "steps", _MAX_STEPS)
         reached = data.get("reached")
         if not isinstance(reached, bool):
-            raise ValueError(f"reached is {shown(reached)}, not true or false")
+            raise DataError("reached is {reached}, not true or false", reached=shown(reached))
         return GreedySelection(
             _members(data.get("regions")),
             tuple(_step(as_object(step, f"step {number}")) for number, step in enumerate(steps, 1)),
@@ -144,7 +144,7 @@ def from_json(text: str) -> GreedySelection:
         )
     except ValueError as error:
         raise SourceError(
-            f"This is not a control point file ({error}). Create one: facemime select TAKE -o POINTS.json"
+            "This is not a control point file ({error}). Create one: facemime select TAKE -o POINTS.json", error=error
         ) from error
 
 
@@ -152,12 +152,12 @@ def _members(regions: Any) -> NDArray[np.bool_]:
     """Parse control points, (3, 66), from lists of landmarks. Each needs at least one, and only those of its region."""
     rows = as_list(regions, "regions", len(REGIONS))
     if len(rows) != len(REGIONS):
-        raise ValueError(f"there are {len(rows)} regions, not {len(REGIONS)}")
+        raise DataError("there are {rows} regions, not {regions}", rows=len(rows), regions=len(REGIONS))
     members = np.zeros((len(REGIONS), N_LANDMARKS), dtype=np.bool_)
     for row, region, numbers in zip(members, REGIONS, rows, strict=True):
         row[[_landmark(number) for number in as_list(numbers, region.name, N_LANDMARKS)]] = True
         if not row.any() or (np.delete(row, region.landmarks)).any():
-            raise ValueError(f"the region {region.name} has no control points, or one of another region")
+            raise DataError("the region {name} has no control points, or one of another region", name=region.name)
     return members
 
 
@@ -171,19 +171,19 @@ def _covariance(triangle: Any) -> FloatArray | None:
     rows = np.tril_indices(N_LANDMARKS)
     values = as_list(triangle, "covariance", len(rows[0]))
     if len(values) != len(rows[0]):
-        raise ValueError(f"covariance has {len(values)} numbers, not {len(rows[0])}")
+        raise DataError("covariance has {values} numbers, not {rows}", values=len(values), rows=len(rows[0]))
     matrix = np.zeros((N_LANDMARKS, N_LANDMARKS))
     matrix[rows] = [as_number(value, "covariance", -_MAX_VARIANCE, _MAX_VARIANCE) for value in values]
     matrix += np.tril(matrix, -1).T
     least, *_, largest = linalg.eigvalsh(matrix).tolist()
     if least < -_ROUNDING * largest or largest < 0.0:
-        raise ValueError("covariance is not a covariance matrix")
+        raise DataError("covariance is not a covariance matrix")
     return matrix
 
 
 def _step(data: dict[str, Any]) -> GreedyStep:
     if data.get("action") not in _ACTIONS:
-        raise ValueError(f"the action of a step is {shown(data.get('action'))}")
+        raise DataError("the action of a step is {value}", value=shown(data.get("action")))
     error = data.get("error")
     unknown = isinstance(error, float) and isnan(error)  # for steps made by hand
     return GreedyStep(
@@ -214,10 +214,12 @@ def parse_landmarks(text: str) -> list[int]:
             first, dash, last = part.partition("-")
             span = range(int(first), min(int(last or first), _BEYOND) + 1)
             if not span:
-                raise ValueError(f"{part} is reversed")
+                raise DataError("{part} is reversed", part=part)
             if not 0 <= span[0] <= span[-1] <= _LAST:  # before a long range is expanded in memory
-                raise ValueError(f"landmarks are numbered from 0 to {_LAST}")
+                raise DataError("landmarks are numbered from 0 to {last}", last=_LAST)
             numbers += [number for number in span if not dash or number not in _LEFT_OUT]
         return [int(i) for i in from_ibug(numbers)]
     except ValueError as error:
-        raise HeadError(f"{text!r} is not a list of landmarks ({error}). Use iBUG numbers such as 17,19-21.") from error
+        raise HeadError(
+            "{text!r} is not a list of landmarks ({error}). Use iBUG numbers such as 17,19-21.", text=text, error=error
+        ) from error

@@ -78,7 +78,9 @@ def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
         If the landmark is already a control point.
     """
     if selection.membership[:, landmark].any():
-        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is already a control point. Choose another one.")
+        raise HeadError(
+            "Landmark {landmark} is already a control point. Choose another one.", landmark=IBUG68_INDICES[landmark]
+        )
     return _changed(selection, landmark, "add", BY_HAND, membership()[:, landmark])
 
 
@@ -100,11 +102,15 @@ def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySele
     selection = selection or GreedySelection(membership(), (), 0.0, True)
     column = selection.membership[:, landmark]
     if not column.any():
-        raise HeadError(f"Landmark {IBUG68_INDICES[landmark]} is not a control point. Choose one that is.")
+        raise HeadError(
+            "Landmark {landmark} is not a control point. Choose one that is.", landmark=IBUG68_INDICES[landmark]
+        )
     last = [region.name for region, row in zip(REGIONS, selection.membership, strict=True) if row.sum() == 1]
     last = [name for name, has in zip([r.name for r in REGIONS], column, strict=True) if has and name in last]
     if last:
-        raise HeadError(f"It is the last control point of the region {last[0]}. Add another one to that region first.")
+        raise HeadError(
+            "It is the last control point of the region {region}. Add another one to that region first.", region=last[0]
+        )
     return _changed(selection, landmark, "drop", "removed by hand", np.zeros(len(REGIONS), dtype=np.bool_))
 
 

@@ -107,7 +107,7 @@ def follow_matrix(
         own = region.landmarks
         chosen = np.flatnonzero(known[own])
         if not row.any():
-            raise HeadError(f"The region {region.name} has no control point. Add one, or use all landmarks.")
+            raise HeadError("The region {name} has no control point. Add one, or use all landmarks.", name=region.name)
         # A landmark of two regions takes the mean of both predictions.
         phi = kernel.phi(distances(landmarks[own], landmarks[own]), sigma)
         among = None if covariance is None else covariance[np.ix_(own, own)]

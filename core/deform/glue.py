@@ -12,9 +12,11 @@ from ..numeric.arrays import FloatArray, IntArray
 _NEIGHBOURS = 10
 _BREADTH = 0.02
 """Distance, in outer-eye distances, by which the neighbourhood of a root is wider than its distance from the skin."""
-_STIFFNESS, _RIM_STIFFNESS = 1e-3, 1.0
-"""Share of its inertia by which a neighbourhood resists rotations that it does not determine, such as about a line. The
-rim of a lid is such a line, beside which the skin stretches, which would kink a line of lashes."""
+_STIFFNESS = 1e-3
+"""Share of its inertia by which a neighbourhood resists rotations that it does not determine, such as about a line."""
+_RIM_STIFFNESS = 1.0
+"""The same share at the rim of a lid, which is such a line, beside which the skin stretches: it would kink a line of
+lashes."""
 
 
 class Glue:
@@ -66,12 +68,17 @@ class Glue:
             found, weights[rim] = _neighbours(at[rim], skin[rims], sides[rims], unit)
             self._rows[rim] = rims[found]
         near = skin[self._rows]
+        # Equation 5.10 at rest: weighted mean of the neighbourhood, arms r_i from it, and sum w r r^T.
         middle = np.einsum("nk,nkc->nc", weights, near)
         arms = near - middle[:, None]
         squares = np.einsum("nk,nkc,nkd->ncd", weights, arms, arms)
+        # Inertia sum w (|r|^2 - r r^T), with a share of its trace on the diagonal: the rotation about a line of
+        # neighbours, which they do not determine, is then held at 0.
         size = np.trace(squares, axis1=1, axis2=2)[:, None, None] * np.eye(3)
         stiffness = np.where(rim, _RIM_STIFFNESS, _STIFFNESS)[:, None, None]
         inertia = size - squares + stiffness * size + 1e-30 * np.eye(3)
+        # From displacements d_i to omega, I^-1 w_i [r_i]x, and to the shift of the mean, w_i; one matrix a root does
+        # both in a frame.
         turns = np.einsum("nab,nk,nkbc->nkac", linalg.inverses_of_three(inertia), weights, _cross(arms))
         shares = weights[..., None, None] * np.eye(3)
         moments = np.swapaxes(np.concatenate([shares, turns], axis=2), 1, 2)
@@ -123,6 +130,8 @@ def _neighbours(
     count = min(4 * _NEIGHBOURS, len(skin))
     rows, squared = NearestPoints(skin).query(roots, count)
     distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
+    # Neighbours across the slit are sorted last and get weight 0; four times the number is sought, so that enough
+    # remain.
     other = sides[rows] != sides[rows[:, :1]]
     order = np.argsort(np.where(other, np.inf, distance), axis=1, kind="stable")[:, :_NEIGHBOURS]
     rows, distance = np.take_along_axis(rows, order, axis=1), np.take_along_axis(distance, order, axis=1)
@@ -144,5 +153,6 @@ def _rotations(turns: NDArray[np.float32]) -> NDArray[np.float32]:
     sine = np.minimum(length, np.float32(1.0))
     axis = turns / np.maximum(length[..., 0], np.float32(1e-12))
     cosine = np.sqrt(1.0 - np.square(sine))
+    # R = a a^T + cos (1 - a a^T) + sin [a]x.
     along = axis[:, :, None] * axis[:, None]
     return np.asarray(along + cosine * (np.eye(3, dtype=np.float32) - along) + sine * _cross(axis), dtype=np.float32)

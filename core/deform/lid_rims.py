@@ -99,10 +99,13 @@ class LidRims:
         def closed(vertices: NDArray[np.intp]) -> FloatArray:
             return np.asarray(self.places[vertices] + response(vertices)[:, upper] @ gaps)
 
+        # Where both rims come to lie when the landmarks of the upper lid meet those of the lower; the lower rim is
+        # sampled at the positions of the upper one.
         rim = closed(self.lower)
         wanted = np.stack([np.interp(self.upper_at, self.lower_at, rim[:, i]) for i in range(3)], axis=1)
         most = _MOST * float(sizes.mean())
         lacking = np.clip((wanted - closed(self.upper)) @ down, -most, most)
+        # w_1 and w_2 of equation 5.8: linear between the landmarks at 1 and 2, constant towards the corners.
         second = np.clip(self.upper_at - 1.0, 0.0, 1.0)
         share = lacking[:, None] * np.stack([1.0 - second, second], axis=1) / sizes
         moved = (self.spread[:, None] @ share[self.nearest])[:, 0].astype(np.float32)
@@ -125,6 +128,7 @@ def lid_rims(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_
     places = np.asarray(vertices, dtype=np.float64)
     points = places[landmarks]
     unit = outer_eye_distance(points)
+    # Only skin of the upper region moves with the upper lid.
     shares = np.asarray(region_weights, dtype=np.float64)
     above = shares[0] / np.maximum(shares.sum(axis=0), 1e-9)
     found = []

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..errors import HeadError
+from ..errors import DataError, HeadError, Message
 from ..mesh.kernels import Kernel, distances, get_kernel
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, as_points
@@ -144,10 +144,15 @@ class RBFDeformer:
         members = np.asarray(membership, dtype=np.bool_)
         shares = _normalise_weights(region_weights, len(members), len(rest))
         if members.shape != (len(shares), len(points)):
-            raise HeadError(f"membership must be ({len(shares)}, {len(points)}); got {members.shape}.")
+            raise HeadError(
+                "membership must be ({shares}, {points}); got {shape}.",
+                shares=len(shares),
+                points=len(points),
+                shape=members.shape,
+            )
         factors = np.broadcast_to(np.asarray(spacing_factor, dtype=np.float64), len(members))
         if sigma is not None and not (np.asarray(sigma) > 0).all():
-            raise HeadError(f"sigma must be positive; got {sigma!r}.")
+            raise HeadError("sigma must be positive; got {sigma!r}.", sigma=sigma)
         widths = [None] * len(members) if sigma is None else np.broadcast_to(np.asarray(sigma), len(members)).tolist()
         fit = _Fit(rest, points, get_kernel(kernel), regularisation)
         # Mean of the regions' functions (equation 5.2) with the process on the skin (5.6), where it reaches.
@@ -198,7 +203,7 @@ class RBFDeformer:
             as_points(displacements, "displacements", count=self.n_control_points)
         result = np.empty_like(self.rest) if out is None else out
         if result.shape != self.rest.shape or result.dtype != np.float32 or not result.flags.c_contiguous:
-            raise ValueError(f"out must be {self.rest.shape}, float32 and C-contiguous")
+            raise DataError("out must be {shape}, float32 and C-contiguous", shape=self.rest.shape)
         self._product.apply(moved, result)
         return result
 
@@ -293,7 +298,12 @@ class IncrementalDeformer:
 def _normalise_weights(region_weights: ArrayLike, n_regions: int, n_vertices: int) -> FloatArray:
     weights = np.asarray(region_weights, dtype=np.float64)
     if weights.shape != (n_regions, n_vertices):
-        raise HeadError(f"region_weights must be ({n_regions}, {n_vertices}); got {weights.shape}.")
+        raise HeadError(
+            "region_weights must be ({n_regions}, {n_vertices}); got {shape}.",
+            n_regions=n_regions,
+            n_vertices=n_vertices,
+            shape=weights.shape,
+        )
     if not np.isfinite(weights).all() or (weights < 0).any():
         raise HeadError("region_weights must be finite and not negative.")
     return np.asarray(weights / np.maximum(weights.sum(axis=0), 1.0))
@@ -321,7 +331,7 @@ class _Fit:
         _check_distinct(between, columns)
         sigma = self.kernel.width(between, spacing_factor) if width is None else width
         rows = np.flatnonzero(share)
-        system, condition = self._system(self.kernel.phi(between, sigma), f"at sigma {sigma:.3g}")
+        system, condition = self._system(self.kernel.phi(between, sigma), Message("at sigma {sigma:.3g}", sigma=sigma))
 
         def evaluation(part: NDArray[np.intp]) -> FloatArray:
             return self.kernel.phi(distances(self.rest[part], centres), sigma)
@@ -330,7 +340,7 @@ class _Fit:
 
     def surface(self, skin: SkinCovariance, share: FloatArray, columns: NDArray[np.intp]) -> RegionMatrix:
         """Fit `skin` to the control points `columns`, for vertices with `share` (V,)."""
-        system, _ = self._system(skin.control_points[np.ix_(columns, columns)], "on the skin")
+        system, _ = self._system(skin.control_points[np.ix_(columns, columns)], Message("on the skin"))
 
         def evaluation(part: NDArray[np.intp]) -> FloatArray:
             return np.asarray(skin.vertices[part][:, columns], dtype=np.float64)
@@ -344,8 +354,10 @@ class _Fit:
         condition = float(values[0] / values[-1]) if values[-1] > 0.0 else math.inf
         if not condition <= MAX_CONDITION:
             raise HeadError(
-                f"The fit is ill-conditioned (condition number {condition:.1e} {where}). "
-                "Turn off Exact Fit, lower sigma, or raise the regularisation."
+                "The fit is ill-conditioned (condition number {condition:.1e} {where}). "
+                "Turn off Exact Fit, lower sigma, or raise the regularisation.",
+                condition=condition,
+                where=where,
             )
         return system, condition
 
@@ -379,4 +391,4 @@ def _check_distinct(between: FloatArray, columns: NDArray[np.intp]) -> None:
     nearest = np.where(np.eye(len(columns), dtype=bool), np.inf, between).min(axis=1)
     if nearest.min() < 1e-6 * between.max():
         pair = columns[np.argmin(nearest)]
-        raise HeadError(f"Control point {pair} coincides with another one. Bind them to different vertices.")
+        raise HeadError("Control point {pair} coincides with another one. Bind them to different vertices.", pair=pair)

@@ -69,10 +69,12 @@ class EyeDriver:
         if not np.isfinite(self._straight).all():
             return np.tile(gaze_at_viewer(head), (2, 1, 1))
         if np.isfinite(gaze).all():
+            # Relative to the usual gaze, as the performer looks at the screen and the camera stands above it.
             self._last = gaze - self._straight
         if np.isfinite(vergence - self._parallel):
             crossed = vergence - self._parallel
             self._crossed.append(float(np.sign(crossed) * np.clip(abs(crossed) - _PARALLEL, 0.0, _CROSSED)))
+        # Eyes are crossed by what all of the last frames agree on: the least of positive values, or of negative ones.
         least, most = min(self._crossed), max(self._crossed)
         aside = np.array([0.0, 0.5 * (max(least, 0.0) + min(most, 0.0))])
         return np.stack([_rotation_within_limits(self._last - aside), _rotation_within_limits(self._last + aside)])
@@ -117,6 +119,7 @@ def eye_strength(pivot: FloatArray, corners: FloatArray) -> float:
         At most 1, which realistic eyes have.
     """
     half_width = 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
+    # A point at distance d from the pivot moves by d sin(yaw).
     moved = float(np.linalg.norm(corners.mean(axis=0) - pivot)) * float(np.sin(_LIMIT[1]))
     return min(1.0, _TRAVEL * half_width / moved) if moved > 0.0 else 1.0
 

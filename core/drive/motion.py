@@ -102,6 +102,7 @@ def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
     distance = np.full(len(flat), np.inf, dtype=np.float32)
     while len(chosen) < min(count, len(flat)):
         last = chosen[-1]
+        # |a - b|^2 = |a|^2 + |b|^2 - 2 a b; rounding can make it negative.
         np.minimum(distance, np.maximum(squares + squares[last] - 2.0 * (flat @ flat[last]), 0.0), out=distance)
         distance[chosen] = -1.0
         chosen.append(int(np.argmax(distance)))

@@ -84,7 +84,7 @@ class Retargeter:
         compensate: bool = False,
     ) -> None:
         if mode not in ("3d", "planar"):
-            raise HeadError(f'mode must be "3d" or "planar"; got {mode!r}.')
+            raise HeadError('mode must be "3d" or "planar"; got {mode!r}.', mode=mode)
         self.neutral = as_points(neutral, "neutral", count=N_LANDMARKS, error=HeadError)
         self.head_landmarks = as_points(head_landmarks, "head_landmarks", count=N_LANDMARKS, error=HeadError)
         self.scale = _scale(self.neutral, self.head_landmarks)

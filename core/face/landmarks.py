@@ -11,6 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from ..errors import DataError
+
 N_LANDMARKS = 66
 
 IBUG68_INDICES: NDArray[np.intp] = np.array([i for i in range(68) if i not in (60, 64)])
@@ -22,7 +24,7 @@ def from_ibug(numbers: Iterable[int]) -> NDArray[np.intp]:
     position = {int(ibug): i for i, ibug in enumerate(IBUG68_INDICES)}
     numbers = [int(n) for n in numbers]
     if unknown := [n for n in numbers if n not in position]:
-        raise ValueError(f"not among the 66 landmarks: {unknown}")
+        raise DataError("not among the 66 landmarks: {unknown}", unknown=unknown)
     return np.array([position[n] for n in numbers], dtype=np.intp)
 
 

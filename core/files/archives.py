@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ModelError
+from ..errors import DataError, ModelError
 from ..numeric.arrays import FloatArray
 from .reading import read_bytes
 
@@ -61,7 +61,7 @@ class Archive:
         """Read a list of distinct texts."""
         array = self._get(name, (None,), "U")
         if len(set(array.tolist())) != len(array):
-            raise ValueError(f"{name} contains a duplicate")
+            raise DataError("{name} contains a duplicate", name=name)
         return tuple(array.tolist())
 
     def floats(self, name: str, shape: Shape, dtype: type = np.float64) -> FloatArray:
@@ -80,7 +80,7 @@ class Archive:
         with np.errstate(over="ignore"):
             out: FloatArray = array.astype(dtype)
         if not np.isfinite(out).all():
-            raise ValueError(f"{name} is not finite")
+            raise DataError("{name} is not finite", name=name)
         return out
 
     def integers(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
@@ -97,7 +97,7 @@ class Archive:
         """
         array = self._get(name, shape, "iu")
         if array.size and (int(array.min()) < low or int(array.max()) > high):
-            raise ValueError(f"{name} is not within {low} to {high}")
+            raise DataError("{name} is not within {low} to {high}", name=name, low=low, high=high)
         return array.astype(np.intp)
 
     def flags(self, name: str, shape: Shape) -> NDArray[np.bool_]:
@@ -116,20 +116,20 @@ class Archive:
         """Read bytes, which are stored as an array of uint8."""
         array = self._get(name, (None,), "u")
         if array.dtype != np.uint8:
-            raise ValueError(f"{name} has the type {array.dtype}")
+            raise DataError("{name} has the type {dtype}", name=name, dtype=array.dtype)
         return array.tobytes()
 
     def _get(self, name: str, shape: Shape, kinds: str) -> NDArray[Any]:
         if (array := self._arrays.get(name)) is None:
-            raise ValueError(f"{name} is missing")
+            raise DataError("{name} is missing", name=name)
         if array.dtype.kind not in kinds:
-            raise ValueError(f"{name} has the type {array.dtype}")
+            raise DataError("{name} has the type {dtype}", name=name, dtype=array.dtype)
         fits = array.ndim == len(shape) and all(
             want in (None, have) for want, have in zip(shape, array.shape, strict=True)
         )
         if not fits:
             wanted = str(tuple("any" if want is None else want for want in shape)).replace("'", "")
-            raise ValueError(f"{name} has the shape {array.shape}, not {wanted}")
+            raise DataError("{name} has the shape {shape}, not {wanted}", name=name, shape=array.shape, wanted=wanted)
         return array
 
 
@@ -149,14 +149,14 @@ def read_archive(data: bytes, limit: int = MAX_BYTES) -> Archive:
         If the data is not such an archive, is damaged, or would unpack to more.
     """
     if data.count(_MEMBER) > MAX_MEMBERS:  # before `zipfile` creates an object for each
-        raise ValueError(f"it has more than {MAX_MEMBERS} members")
+        raise DataError("it has more than {max_members} members", max_members=MAX_MEMBERS)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             members = archive.infolist()
             _check_members(members, limit)
             return Archive({m.filename.removesuffix(".npy"): _array(m, archive) for m in members})
     except _DAMAGE as error:
-        raise ValueError("its archive is damaged") from error
+        raise DataError("its archive is damaged") from error
 
 
 @contextmanager
@@ -183,31 +183,33 @@ def open_shipped(path: Path, form: str) -> Iterator[Archive]:
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
         if archive.text("format") != form:
-            raise ValueError("its version is different")
+            raise DataError("its version is different")
         yield archive
     except FileNotFoundError as error:
-        raise ModelError(f"The model {path} is missing. Reinstall Facemime.") from error
+        raise ModelError("The model {path} is missing. Reinstall Facemime.", path=path) from error
     except (OSError, ValueError) as error:
-        raise ModelError(f"The model {path} is damaged ({error}). Reinstall Facemime.") from error
+        raise ModelError(
+            "The model {path} is damaged ({error}). Reinstall Facemime.", path=path, error=error
+        ) from error
 
 
 def _check_members(members: list[zipfile.ZipInfo], limit: int) -> None:
     if (total := sum(member.file_size for member in members)) > limit:
-        raise ValueError(f"it unpacks to {total >> 20} MB, more than {limit >> 20} MB")
+        raise DataError("it unpacks to {total} MB, more than {limit} MB", total=total >> 20, limit=limit >> 20)
     for member in members:
         if member.compress_type not in _METHODS or member.flag_bits & _ENCRYPTED:
-            raise ValueError("it is encrypted, or compressed in a way that numpy does not use")
+            raise DataError("it is encrypted, or compressed in a way that numpy does not use")
         if not member.filename.endswith(".npy"):
-            raise ValueError("a member is not a numpy array")
+            raise DataError("a member is not a numpy array")
     if len({member.filename for member in members}) != len(members):
-        raise ValueError("two members have the same name")
+        raise DataError("two members have the same name")
 
 
 def _array(member: zipfile.ZipInfo, archive: zipfile.ZipFile) -> NDArray[Any]:
     with archive.open(member) as stream:
         content = stream.read(member.file_size)
         if len(content) != member.file_size or stream.read(1):
-            raise ValueError("the length of a member differs from the archive's directory")
+            raise DataError("the length of a member differs from the archive's directory")
     return _array_of(content)
 
 
@@ -215,18 +217,18 @@ def _array_of(content: bytes) -> NDArray[Any]:
     """Parse an `.npy` file, comparing the stated size with the actual one before allocating."""
     version = content[len(_MAGIC)] if len(content) > len(_MAGIC) + 2 else 0
     if not content.startswith(_MAGIC) or version not in _PREFIXES:
-        raise ValueError("a member is not a numpy array")
+        raise DataError("a member is not a numpy array")
     prefix = _PREFIXES[version]
     start = len(_MAGIC) + 2 + prefix.size
     (length,) = prefix.unpack_from(content, len(_MAGIC) + 2)
     header = content[start : start + min(length, _MAX_HEADER)].decode("latin-1")
     found = _HEADER.fullmatch(header)
     if found is None:
-        raise ValueError("a member's header is damaged")
+        raise DataError("a member's header is damaged")
     try:
         dtype = np.dtype(found[1])
     except TypeError as error:
-        raise ValueError(f"a member has the unknown type {found[1]}") from error
+        raise DataError("a member has the unknown type {found}", found=found[1]) from error
     shape = tuple(int(side) for side in found[3].split(",") if side.strip())
     count = prod(shape)
     if (
@@ -234,8 +236,8 @@ def _array_of(content: bytes) -> NDArray[Any]:
         or count * dtype.itemsize != len(content) - start - length
         or any(side > len(content) for side in shape)
     ):
-        raise ValueError("the length of a member differs from its header")
+        raise DataError("the length of a member differs from its header")
     flat = np.frombuffer(content, dtype, count, start + length) if count else np.empty(0, dtype)
     if dtype.kind == "U" and count and int(flat.view(f"{dtype.byteorder}u4").max()) > sys.maxunicode:
-        raise ValueError("a member has invalid characters")  # on which numpy would raise a SystemError
+        raise DataError("a member has invalid characters")  # on which numpy would raise a SystemError
     return flat.reshape(shape, order="F" if found[2] == "True" else "C")

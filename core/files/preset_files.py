@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from ..errors import OutputError, SourceError
+from ..errors import DataError, OutputError, SourceError
 from .reading import as_object, parse_format, shown
 from .setting import Setting
 
@@ -51,14 +51,14 @@ def from_json(text: str, known: Settings) -> Values:
     try:
         data = parse_format(text, _FORMAT)
         if not data.keys() & known.keys():
-            raise ValueError("it has no settings")
+            raise DataError("it has no settings")
         return {
             group: {name: setting.checked(given[name], name) for name, setting in settings.items() if name in given}
             for group, settings in known.items()
             for given in [as_object(data.get(group, {}), group)]
         }
     except ValueError as error:
-        raise SourceError(f"This is not a Facemime preset ({error}). Choose another file.") from error
+        raise SourceError("This is not a Facemime preset ({error}). Choose another file.", error=error) from error
 
 
 def file_name(name: str) -> str:
@@ -72,7 +72,11 @@ def file_name(name: str) -> str:
     clean = name.strip()
     odd = any(letter in _FORBIDDEN or not letter.isprintable() for letter in clean)
     if not clean or odd or clean[0] == "." or clean[-1] == "." or clean.split(".")[0].strip().lower() in _DEVICES:
-        raise OutputError(f"{shown(name)} cannot be used as the name of a preset. Use letters, digits and spaces.")
+        raise OutputError(
+            "{name} cannot be used as the name of a preset. Use letters, digits and spaces.", name=shown(name)
+        )
     if len(clean.encode()) > _MAX_NAME:
-        raise OutputError(f"{shown(name)} cannot be used as the name of a preset: it is too long. Use a shorter one.")
+        raise OutputError(
+            "{name} cannot be used as the name of a preset: it is too long. Use a shorter one.", name=shown(name)
+        )
     return clean + SUFFIX

@@ -8,6 +8,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from ..errors import DataError
+
 MAX_TEXT = 8 << 20
 """Largest size of a JSON file in bytes: eighty times the largest that is written."""
 _DIGITS = 18
@@ -39,7 +41,7 @@ def read_bytes(path: Path, limit: int) -> bytes:
             pieces.append(piece)
             length, wanted = length + len(piece), _PIECE
             if length > limit:
-                raise ValueError(f"it is larger than {limit >> 20} MB")
+                raise DataError("it is larger than {limit} MB", limit=limit >> 20)
     return pieces[0] if len(pieces) == 1 else b"".join(pieces)
 
 
@@ -48,7 +50,7 @@ def read_text(path: Path) -> str:
     try:
         return read_bytes(path, MAX_TEXT).decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise ValueError("it is not UTF-8 text") from error
+        raise DataError("it is not UTF-8 text") from error
 
 
 def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
@@ -74,11 +76,11 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
     try:
         return json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
     except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
+        raise DataError("it is nested too deeply") from error
     except UnicodeError as error:
-        raise ValueError("it is not UTF-8 text") from error
+        raise DataError("it is not UTF-8 text") from error
     except json.JSONDecodeError as error:
-        raise ValueError(f"it is not JSON: {error.msg} in line {error.lineno}") from error
+        raise DataError("it is not JSON: {problem} in line {line}", problem=error.msg, line=error.lineno) from error
 
 
 def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str, Any]:
@@ -105,7 +107,7 @@ def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str
     """
     data = as_object(parse_json(text, nan=nan), "the text")
     if data.get("format") != form:
-        raise ValueError("its format is different")
+        raise DataError("its format is different")
     return data
 
 
@@ -132,7 +134,13 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
         If the value is anything else.
     """
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"{name} is {shown(value)}, not a number from {low:g} to {high:g}")
+        raise DataError(
+            "{name} is {value}, not a number from {low:g} to {high:g}",
+            name=name,
+            value=shown(value),
+            low=low,
+            high=high,
+        )
     return float(value)
 
 
@@ -159,7 +167,13 @@ def as_integer(value: Any, name: str, low: int, high: int) -> int:
         If the value is anything else.
     """
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ValueError(f"{name} is {shown(value)}, not a whole number from {low} to {high}")
+        raise DataError(
+            "{name} is {value}, not a whole number from {low} to {high}",
+            name=name,
+            value=shown(value),
+            low=low,
+            high=high,
+        )
     return value
 
 
@@ -186,9 +200,11 @@ def as_text(value: Any, name: str, limit: int = 200) -> str:
         If the value is anything else, or contains unpaired surrogates.
     """
     if not isinstance(value, str) or len(value) > limit:
-        raise ValueError(f"{name} is {shown(value)}, not a text of at most {limit} characters")
+        raise DataError(
+            "{name} is {value}, not a text of at most {limit} characters", name=name, value=shown(value), limit=limit
+        )
     if any("\ud800" <= letter <= "\udfff" for letter in value):  # valid in JSON, but neither in files nor in Blender
-        raise ValueError(f"{name} is {shown(value)}, which has invalid characters")
+        raise DataError("{name} is {value}, which has invalid characters", name=name, value=shown(value))
     return value
 
 
@@ -215,7 +231,9 @@ def as_list(value: Any, name: str, limit: int) -> list[Any]:
         If the value is anything else.
     """
     if not isinstance(value, list) or len(value) > limit:
-        raise ValueError(f"{name} is {shown(value)}, not a list of at most {limit} items")
+        raise DataError(
+            "{name} is {value}, not a list of at most {limit} items", name=name, value=shown(value), limit=limit
+        )
     return value
 
 
@@ -240,7 +258,7 @@ def as_object(value: Any, name: str) -> dict[str, Any]:
         If the value is anything else.
     """
     if not isinstance(value, dict):
-        raise ValueError(f"{name} is {shown(value)}, not an object")
+        raise DataError("{name} is {value}, not an object", name=name, value=shown(value))
     return value
 
 
@@ -252,13 +270,13 @@ def shown(value: Any) -> str:
 
 def _whole(digits: str) -> int:
     if len(digits) > _DIGITS:
-        raise ValueError(f"{digits[:12]}... is too large a number")
+        raise DataError("{digits}... is too large a number", digits=digits[:12])
     return int(digits)
 
 
 def _real(digits: str) -> float:
     if not isfinite(value := float(digits)):
-        raise ValueError(f"{digits[:12]} is too large a number")
+        raise DataError("{digits} is too large a number", digits=digits[:12])
     return value
 
 
@@ -267,4 +285,4 @@ def _nan(name: str) -> float:
 
 
 def _refused(name: str) -> Any:
-    raise ValueError(f"{name} is not a number")
+    raise DataError("{name} is not a number", name=name)

@@ -11,6 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar
 
+from ..errors import DataError
 from .reading import as_integer, as_number, shown
 
 Group = TypeVar("Group")
@@ -97,7 +98,7 @@ class Setting:
         if self.kind is int:
             return as_integer(value, name, *(int(end) for end in self._range()))
         if type(value) is not self.kind or (self.choices and value not in self.values):
-            raise ValueError(f"{name} cannot be {shown(value)}")
+            raise DataError("{name} cannot be {value}", name=name, value=shown(value))
         return value
 
     @property

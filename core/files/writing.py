@@ -15,7 +15,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
 from pathlib import Path
 
-from ..errors import OutputError
+from ..errors import Message, OutputError
 from .locks import holding, lock_of, sweep, temporary_beside
 
 _PATIENCE = 0.25
@@ -46,7 +46,9 @@ def replacing(path: Path) -> Iterator[Path]:
         except OSError as error:
             kept = free_name(target)
             os.rename(temporary, kept)
-            raise OutputError(f"Cannot replace {path}: {reason_of(error)}. The result is in {kept}.") from error
+            raise OutputError(
+                "Cannot replace {path}: {error}. The result is in {kept}.", path=path, error=reason_of(error), kept=kept
+            ) from error
 
 
 def settle(finished: Path, path: Path) -> None:
@@ -115,7 +117,9 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
     """
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
-        raise OutputError(f"Cannot write {path}: give it the suffix {' or '.join(sorted(suffixes))}.")
+        raise OutputError(
+            "Cannot write {path}: give it the suffix {suffixes}.", path=path, suffixes=" or ".join(sorted(suffixes))
+        )
     with _reporting(path):
         target = _target(path)
         with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
@@ -124,12 +128,18 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
         while not os.path.exists(folder) and folder != folder.parent:
             folder = folder.parent
         if os.path.isdir(target):
-            raise OutputError(f"Cannot write {path}: it is a folder. Choose a file name.")
+            raise OutputError("Cannot write {path}: it is a folder. Choose a file name.", path=path)
         if not os.path.isdir(folder):
-            raise OutputError(f"Cannot write {path}: {folder} is not a folder. Choose another location for the output.")
+            raise OutputError(
+                "Cannot write {path}: {folder} is not a folder. Choose another location for the output.",
+                path=path,
+                folder=folder,
+            )
         if not os.access(folder, os.W_OK | os.X_OK):
             raise OutputError(
-                f"Cannot write {path}: the folder {folder} is read-only. Choose another location for the output."
+                "Cannot write {path}: the folder {folder} is read-only. Choose another location for the output.",
+                path=path,
+                folder=folder,
             )
         _check_replaceable(path, target)
         with tempfile.TemporaryFile(dir=folder):
@@ -142,16 +152,19 @@ def _check_replaceable(path: Path, target: Path) -> None:
         return
     found = os.stat(target)
     if not stat.S_ISREG(found.st_mode):
-        raise OutputError(f"Cannot write {path}: it is a pipe or a device. Choose a file name.")
+        raise OutputError("Cannot write {path}: it is a pipe or a device. Choose a file name.", path=path)
     if not os.access(target, os.W_OK):
-        raise OutputError(f"Cannot write {path}: the file is write-protected. Choose another name for the output.")
+        raise OutputError(
+            "Cannot write {path}: the file is write-protected. Choose another name for the output.", path=path
+        )
     if os.name != "posix":
         return
     folder, user = os.stat(target.parent), os.geteuid()
     if folder.st_mode & stat.S_ISVTX and user not in (0, found.st_uid, folder.st_uid):
         raise OutputError(
-            f"Cannot write {path}: only its owner, another user, may replace it in this folder. "
-            "Choose another name for the output."
+            "Cannot write {path}: only its owner, another user, may replace it in this folder. "
+            "Choose another name for the output.",
+            path=path,
         )
 
 
@@ -173,7 +186,9 @@ def check_distinct(outputs: Iterable[Path | None], inputs: Mapping[str, Path | N
     for output in filter(None, outputs):
         for name, path in inputs.items():
             if path is not None and _same(output, path):
-                raise OutputError(f"Cannot write {output}: it is {name}. Choose another name for the output.")
+                raise OutputError(
+                    "Cannot write {output}: it is {name}. Choose another name for the output.", output=output, name=name
+                )
 
 
 def _same(output: Path, path: Path) -> bool:
@@ -212,7 +227,8 @@ def _claim(stack: ExitStack, target: Path, path: Path) -> None:
         return  # a file system without locks
     if not held:
         raise OutputError(
-            f"Another facemime is writing {path}. Wait until it has finished, or choose another name for the output."
+            "Another facemime is writing {path}. Wait until it has finished, or choose another name for the output.",
+            path=path,
         )
 
 
@@ -253,7 +269,9 @@ def _target(path: Path) -> Path:
     try:
         return Path(os.path.realpath(path))
     except ValueError as error:
-        raise OutputError(f"Cannot write {str(path)!r}: {error}. Choose another name for the output.") from error
+        raise OutputError(
+            "Cannot write {path!r}: {error}. Choose another name for the output.", path=str(path), error=error
+        ) from error
 
 
 def _copy_permissions(new: Path, old: Path) -> None:
@@ -275,10 +293,12 @@ def _reporting(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        advice = "Choose another location for the output."
+        advice = Message("Choose another location for the output.")
         if error.errno == errno.ENAMETOOLONG:
-            advice = "Choose a shorter name for the output."
-        raise OutputError(f"Cannot write {path}: {reason_of(error)}. {advice}") from error
+            advice = Message("Choose a shorter name for the output.")
+        raise OutputError(
+            "Cannot write {path}: {error}. {advice}", path=path, error=reason_of(error), advice=advice
+        ) from error
 
 
 def reason_of(error: OSError) -> str:

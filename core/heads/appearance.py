@@ -188,4 +188,6 @@ def _image(kind: str) -> bytes:
     try:
         return read_bytes(path, _MAX_IMAGE)
     except (OSError, ValueError) as error:
-        raise ModelError(f"The image {path} cannot be read ({error}). Reinstall Facemime.") from error
+        raise ModelError(
+            "The image {path} cannot be read ({error}). Reinstall Facemime.", path=path, error=error
+        ) from error

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ModelError
+from ..errors import DataError, ModelError
 from ..face.landmarks import N_LANDMARKS
 from ..files.archives import MAX_BYTES, Archive, read_archive
 from ..files.assets import ASSETS
@@ -122,17 +122,23 @@ def _read(path: Path) -> Head:
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
     except FileNotFoundError as error:
-        raise ModelError(f"The head {path} is missing. Reinstall Facemime, or run make head.") from error
+        raise ModelError("The head {path} is missing. Reinstall Facemime, or run make head.", path=path) from error
     except OSError as error:
-        raise ModelError(f"The head {path} cannot be read: {error.strerror}. Reinstall Facemime.") from error
+        raise ModelError(
+            "The head {path} cannot be read: {reason}. Reinstall Facemime.", path=path, reason=error.strerror
+        ) from error
     except ValueError as error:
-        raise ModelError(f"The head {path} is damaged ({error}). Reinstall Facemime.") from error
+        raise ModelError("The head {path} is damaged ({error}). Reinstall Facemime.", path=path, error=error) from error
     if archive.text("format") != FORMAT:
-        raise ModelError(f"{path} is not a Facemime head of this version. Use a file built by lab/training/head.")
+        raise ModelError(
+            "{path} is not a Facemime head of this version. Use a file built by lab/training/head.", path=path
+        )
     try:
         head = _head(archive)
     except ValueError as error:
-        raise ModelError(f"The head {path} is incomplete or inconsistent: {error}. Reinstall Facemime.") from error
+        raise ModelError(
+            "The head {path} is incomplete or inconsistent: {error}. Reinstall Facemime.", path=path, error=error
+        ) from error
     owners: tuple[Head | HeadPart, ...] = (head, *head.parts)
     for owner in owners:
         for field in fields(owner):
@@ -147,10 +153,10 @@ def _head(archive: Archive) -> Head:
     names = archive.texts("unit_names")
     landmarks = archive.integers("landmarks", (N_LANDMARKS,), 0, count - 1)
     if len(np.unique(vertices[landmarks], axis=0)) != N_LANDMARKS:
-        raise ValueError("two landmarks coincide")
+        raise DataError("two landmarks coincide")
     regions = archive.floats("regions", (len(REGION_NAMES), count), np.float32)
     if regions.min() < 0.0 or regions.sum(axis=0).max() > 1.0 + _ROUNDING:
-        raise ValueError("regions has weights outside 0 to 1")
+        raise DataError("regions has weights outside 0 to 1")
     faces, uv = _faces(archive, "", count)
     return Head(
         vertices=vertices,
@@ -185,5 +191,5 @@ def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32]
     faces = archive.integers(f"{prefix}faces", (None, 4), -1, count - 1)
     ordered = np.sort(faces, axis=1)
     if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():
-        raise ValueError(f"{prefix}faces has a degenerate face")
+        raise DataError("{prefix}faces has a degenerate face", prefix=prefix)
     return faces.astype(np.int32), archive.floats(f"{prefix}uv", (len(faces), 4, 2), np.float32)

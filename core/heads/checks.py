@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import HeadError
+from ..errors import HeadError, Message
 from ..face.landmarks import BROWS, IBUG68_INDICES
 from ..mesh.surface import SurfaceGraph, lips_joined
 from ..numeric.arrays import FloatArray, IntArray
@@ -39,14 +39,14 @@ class Finding:
 
     Attributes
     ----------
-    problem, remedy : str
+    problem, remedy : Message
         A sentence each.
     step : str
         Name of the step that remedies the problem; "" if there is none.
     """
 
-    problem: str
-    remedy: str
+    problem: Message
+    remedy: Message
     step: str = ""
 
 
@@ -68,7 +68,12 @@ def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, regio
     unique, counts = np.unique(landmarks, return_counts=True)
     if (counts > 1).any():
         twins = np.flatnonzero(np.isin(landmarks, unique[counts > 1]))
-        findings.append(Finding(f"Landmarks {_list(twins)} share vertices.", "Move each to its own vertex."))
+        findings.append(
+            Finding(
+                Message("Landmarks {twins} share vertices.", twins=_list(twins)),
+                Message("Move each to its own vertex."),
+            )
+        )
     findings += _region_findings(landmarks, region_weights)
     findings += _lip_findings(vertices, faces, landmarks)
     findings += _eye_findings(vertices, faces, landmarks)
@@ -82,26 +87,30 @@ def _region_findings(landmarks: IntArray, region_weights: FloatArray) -> list[Fi
     if len(outside):
         findings.append(
             Finding(
-                f"Landmarks {_list(outside)} lie in no region.",
-                "Paint their regions over them, or find the face again.",
+                Message("Landmarks {outside} lie in no region.", outside=_list(outside)),
+                Message("Paint their regions over them, or find the face again."),
             )
         )
     partly = np.setdiff1d(np.flatnonzero(own_weights(region_weights, landmarks) < _HELD), outside)
     if len(partly):
         findings.append(
             Finding(
-                f"Landmarks {_list(partly)} are moved only partly by their regions.",
-                "Paint these regions over them in full, or use Reset Regions.",
+                Message("Landmarks {partly} are moved only partly by their regions.", partly=_list(partly)),
+                Message("Paint these regions over them in full, or use Reset Regions."),
             )
         )
     for region, members, row, whole in zip(REGIONS, membership(), weights, region_weights, strict=True):
         if not np.asarray(whole).any():
-            findings.append(Finding(f"The region {region.name} is empty.", "Paint it, or use Reset Regions."))
+            findings.append(
+                Finding(
+                    Message("The region {name} is empty.", name=region.name), Message("Paint it, or use Reset Regions.")
+                )
+            )
         elif not (members & (row >= _MIN_WEIGHT)).any():
             findings.append(
                 Finding(
-                    f"The region {region.name} contains none of its control points.",
-                    "Paint it over its landmarks, or use Reset Regions.",
+                    Message("The region {name} contains none of its control points.", name=region.name),
+                    Message("Paint it over its landmarks, or use Reset Regions."),
                 )
             )
     return findings
@@ -112,8 +121,8 @@ def _lip_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
         return []
     return [
         Finding(
-            "The lips are joined, so the mouth cannot open.",
-            "Use Open Lips, which cuts the mesh between them, or model a slit.",
+            Message("The lips are joined, so the mouth cannot open."),
+            Message("Use Open Lips, which cuts the mesh between them, or model a slit."),
             "open_lips",
         )
     ]
@@ -124,16 +133,16 @@ def _eye_findings(vertices: FloatArray, faces: IntArray, landmarks: IntArray) ->
         # Whether such eyes are joined is unknown; a cut along these landmarks would be misplaced, too.
         return [
             Finding(
-                "The landmarks of the lids seem to lie on a brow or on lashes.",
-                "Mark the corners of the eyes, and find the face again.",
+                Message("The landmarks of the lids seem to lie on a brow or on lashes."),
+                Message("Mark the corners of the eyes, and find the face again."),
             )
         ]
     if not any(eyes_joined(vertices, faces, landmarks)):
         return []
     return [
         Finding(
-            "The eyes are joined to their lids, so they cannot shut.",
-            "Use Open Eyes, which cuts the mesh along the lids, or model separate eyes.",
+            Message("The eyes are joined to their lids, so they cannot shut."),
+            Message("Use Open Eyes, which cuts the mesh along the lids, or model separate eyes."),
             "open_eyes",
         )
     ]

@@ -16,9 +16,10 @@ LID_THICKNESS = 0.03
 """Gap between an eye that was cut out of the skin and the sphere of its lids, as a share of the radius."""
 _REACH = 1.8
 """Distance from the centre of an eyeball, in radii, within which vertices are kept outside."""
-_ROBUST_STEPS, _ROBUST_SHARE = 4, 0.8
-"""Number of fits of an eyeball, and share of the vertices that each uses: those nearest to the last sphere, as a cornea
-bulges."""
+_ROBUST_STEPS = 4
+"""Number of fits of an eyeball."""
+_ROBUST_SHARE = 0.8
+"""Share of the vertices that each fit uses: those nearest to the last sphere, as a cornea bulges."""
 _MAX_BULGE = 1.2
 """Largest distance of the cornea's apex from the centre of the eye, in radii; anything farther out is not a cornea."""
 _SLACK = 1e-5
@@ -56,6 +57,7 @@ def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
     low, high = points.min(axis=0), points.max(axis=0)
     half = float((high - low)[:2].max()) / 2.0
     sphere = fit_eyeball(points) * np.array([1.0, 1.0, 1.0, 1.0 - LID_THICKNESS])
+    # Trimmed fits: the cornea and an iris inside lie off the sphere of the white.
     for _ in range(_ROBUST_STEPS):
         off = np.abs(np.linalg.norm(points - sphere[:3], axis=1) - sphere[3])
         sphere = fit_eyeball(points[off <= np.quantile(off, _ROBUST_SHARE)])

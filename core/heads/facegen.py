@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SourceError
+from ..errors import DataError, Message, SourceError
 from ..files.reading import read_bytes, shown
 
 _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
@@ -65,14 +65,14 @@ def read_tri(path: Path) -> FaceGenMesh:
     count = dict(zip(names, (reader.count(name) for name in names), strict=True))
     reader.skip(16)
     reader.check_morphs(count["Md"] + count["Ms"], count["V"])
-    vertices = reader.vectors(count["V"], "the vertices")
-    targets = reader.vectors(count["K"], "vertices of the statistical morphs")
-    triangles = reader.indices((count["T"], 3), count["V"], "the triangles")
-    quads = reader.indices((count["Q"], 4), count["V"], "the quads")
+    vertices = reader.vectors(count["V"], Message("the vertices"))
+    targets = reader.vectors(count["K"], Message("vertices of the statistical morphs"))
+    triangles = reader.indices((count["T"], 3), count["V"], Message("the triangles"))
+    quads = reader.indices((count["Q"], 4), count["V"], Message("the quads"))
     wide = bool(count["ext"] & 2)
     labels = {}
     for _ in range(count["LV"]):
-        vertex = reader.indices((1,), count["V"], "a labelled vertex")[0]
+        vertex = reader.indices((1,), count["V"], Message("a labelled vertex"))[0]
         labels[reader.label(wide)] = int(vertex)
     for _ in range(count["LS"]):
         reader.skip(16)
@@ -81,10 +81,10 @@ def read_tri(path: Path) -> FaceGenMesh:
     morphs = [(reader.label(wide), reader.differences(count["V"])) for _ in range(count["Md"])]
     used = 0
     for _ in range(count["Ms"]):
-        name, moved = reader.label(wide), reader.count("vertices of a statistical morph")
-        rows = reader.indices((moved,), count["V"], f"vertices of the morph {shown(name)}")
+        name, moved = reader.label(wide), reader.count(Message("vertices of a statistical morph"))
+        rows = reader.indices((moved,), count["V"], Message("vertices of the morph {name}", name=shown(name)))
         if used + moved > count["K"]:
-            reader.fail("more vertices of statistical morphs than the header states")
+            reader.fail(Message("more vertices of statistical morphs than the header states"))
         offsets = np.zeros_like(vertices)
         offsets[rows] = targets[used : used + moved] - vertices[rows]
         morphs.append((name, offsets))
@@ -113,12 +113,15 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
         As for `read_tri`, and if the file belongs to a mesh with another number of vertices.
     """
     reader = _Reader(path, b"FREGM", b"002")
-    vertices, symmetric = reader.count("the vertices"), reader.count("the symmetric modes")
-    asymmetric = reader.count("the asymmetric modes")
+    vertices, symmetric = reader.count(Message("the vertices")), reader.count(Message("the symmetric modes"))
+    asymmetric = reader.count(Message("the asymmetric modes"))
     reader.skip(44)
     if vertices < len(mesh.vertices):
         raise SourceError(
-            f"{path} belongs to a mesh with {vertices} vertices; this one has {len(mesh.vertices)}. Use its own .egm."
+            "{path} belongs to a mesh with {vertices} vertices; this one has {own}. Use its own .egm.",
+            path=path,
+            vertices=vertices,
+            own=len(mesh.vertices),
         )
     reader.check_morphs(symmetric + asymmetric, vertices)
     names = [f"Symmetric {i + 1:02d}" for i in range(symmetric)]
@@ -153,12 +156,16 @@ def read_obj(path: Path) -> FaceGenMesh:
         places = np.array(vertices, dtype=np.float32).reshape(len(vertices), 3)
         coordinates = np.array(texture, dtype=np.float32).reshape(len(texture), 2)
     except OSError as error:
-        raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
+        raise SourceError(
+            "{path} cannot be read ({reason}). Choose another file.", path=path, reason=error.strerror
+        ) from error
     except ValueError as error:
-        where = f" at line {number}" if number else ""
-        raise SourceError(f"{path} is damaged{where} ({error}). Export it again.") from error
+        where = Message(" at line {number}", number=number) if number else ""
+        raise SourceError(
+            "{path} is damaged{where} ({error}). Export it again.", path=path, where=where, error=error
+        ) from error
     if not len(places) or not corners:
-        raise SourceError(f"{path} contains no mesh. Export it again, with its faces.")
+        raise SourceError("{path} contains no mesh. Export it again, with its faces.", path=path)
     faces = np.array([[vertex for vertex, _ in face] for face in corners], dtype=np.int32)
     of_texture = np.array([[index for _, index in face] for face in corners])
     has_uv = len(texture) > 0 and bool((of_texture[faces >= 0] >= 0).all())
@@ -189,7 +196,7 @@ def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
     corners = mesh.vertices.astype(np.float64)[faces[kept]]
     with_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     if not with_area.any():
-        raise SourceError(f"{path} contains no mesh: none of its faces has an area. Export it again.")
+        raise SourceError("{path} contains no mesh: none of its faces has an area. Export it again.", path=path)
     uv = None if mesh.uv is None else mesh.uv[kept]
     return replace(mesh, faces=faces[kept], uv=uv)
 
@@ -197,7 +204,7 @@ def _sound(path: Path, mesh: FaceGenMesh) -> FaceGenMesh:
 def _numbers(text: str, count: int) -> list[float]:
     numbers = [float(value) for value in text.split()[:count]]
     if len(numbers) < count or not all(abs(number) <= _MAX_COORDINATE for number in numbers):
-        raise ValueError(f"{shown(text.strip())} instead of {count} numbers")
+        raise DataError("{text} instead of {count} numbers", text=shown(text.strip()), count=count)
     return numbers
 
 
@@ -212,14 +219,14 @@ def _from_one(index: int, count: int) -> int:
     """Convert an OBJ index, which counts from 1, or backwards from the last."""
     place = index - 1 if index > 0 else count + index
     if not 0 <= place < count:
-        raise ValueError(f"index {shown(index)} is out of range, as there are {count}")
+        raise DataError("index {index} is out of range, as there are {count}", index=shown(index), count=count)
     return place
 
 
 def _fan(face: list[tuple[int, int]]) -> list[list[tuple[int, int]]]:
     """Pad triangles and quads, and split larger polygons into a fan of triangles."""
     if len(face) < 3:
-        raise ValueError("a face with fewer than three corners")
+        raise DataError("a face with fewer than three corners")
     if len(face) <= 4:
         return [face + [(-1, -1)] * (4 - len(face))]
     return [[face[0], face[i], face[i + 1], (-1, -1)] for i in range(1, len(face) - 1)]
@@ -230,11 +237,11 @@ def _tri_uv(
 ) -> NDArray[np.float32] | None:
     """Read texture coordinates, (F, 4, 2), from a list with indices per face, or from one per vertex."""
     if count["X"]:
-        table = reader.array("<f4", (count["X"], 2), "texture coordinates")
-        of_triangles = reader.indices((count["T"], 3), count["X"], "texture of the triangles")
-        of_quads = reader.indices((count["Q"], 4), count["X"], "texture of the quads")
+        table = reader.array("<f4", (count["X"], 2), Message("texture coordinates"))
+        of_triangles = reader.indices((count["T"], 3), count["X"], Message("texture of the triangles"))
+        of_quads = reader.indices((count["Q"], 4), count["X"], Message("texture of the quads"))
     elif count["ext"] & 1:
-        table = reader.array("<f4", (count["V"], 2), "texture coordinates")
+        table = reader.array("<f4", (count["V"], 2), Message("texture coordinates"))
         of_triangles, of_quads = triangles, quads
     else:
         return None
@@ -252,45 +259,58 @@ class _Reader:
         try:
             self._data = read_bytes(path, _MAX_FILE)
         except OSError as error:
-            raise SourceError(f"{path} cannot be read ({error.strerror}). Choose another file.") from error
+            raise SourceError(
+                "{path} cannot be read ({reason}). Choose another file.", path=path, reason=error.strerror
+            ) from error
         except ValueError as error:
-            raise SourceError(f"{path} cannot be read: {error}. Choose another file.") from error
+            raise SourceError("{path} cannot be read: {error}. Choose another file.", path=path, error=error) from error
         if self._data[:5] != kind:
-            raise SourceError(f"{path} is not a {kind.decode()} file of FaceGen (byte 0). Choose another file.")
+            raise SourceError(
+                "{path} is not a {kind} file of FaceGen (byte 0). Choose another file.", path=path, kind=kind.decode()
+            )
         if self._data[5:8] != version:
             found = self._data[5:8].decode("ascii", "replace")
             raise SourceError(
-                f"{path} has version {found} (byte 5), not {version.decode()}. Export it again, unencrypted."
+                "{path} has version {found} (byte 5), not {version}. Export it again, unencrypted.",
+                path=path,
+                found=found,
+                version=version.decode(),
             )
         self._at = 8
 
     def fail(self, what: str) -> None:
         """Raise a SourceError at the current position."""
-        raise SourceError(f"{self.path} is damaged at byte {self._at}: {what}. Export it again.")
+        raise SourceError(
+            "{path} is damaged at byte {at}: {what}. Export it again.", path=self.path, at=self._at, what=what
+        )
 
     def end(self) -> None:
         """Check that nothing follows."""
         if self._at != len(self._data):
-            self.fail(f"{len(self._data) - self._at} bytes follow the end")
+            self.fail(Message("{count} bytes follow the end", count=len(self._data) - self._at))
 
     def skip(self, size: int) -> None:
         """Skip `size` bytes."""
-        self._need(size, "reserved bytes")
+        self._need(size, Message("reserved bytes"))
         self._at += size
 
     def count(self, what: str) -> int:
         """Read a 32-bit count."""
-        self._need(4, f"the number of {what}")
+        self._need(4, Message("the number of {what}", what=what))
         (value,) = struct.unpack_from("<i", self._data, self._at)
         if not 0 <= value <= _MAX_COUNT:
-            self.fail(f"{value} as the number of {what}")
+            self.fail(Message("{value} as the number of {what}", value=value, what=what))
         self._at += 4
         return int(value)
 
     def check_morphs(self, morphs: int, vertices: int) -> None:
         """Fail if no head has that many morphs, before memory is allocated."""
         if morphs > _MAX_MORPHS or 12 * morphs * vertices > _MAX_MORPH_BYTES:
-            self.fail(f"{morphs} morphs of {vertices} vertices, more than any head has")
+            self.fail(
+                Message(
+                    "{morphs} morphs of {vertices} vertices, more than any head has", morphs=morphs, vertices=vertices
+                )
+            )
 
     def array(self, dtype: str, shape: tuple[int, ...], what: str) -> NDArray[Any]:
         """Read an array of `dtype`."""
@@ -298,7 +318,7 @@ class _Reader:
         self._need(size, what)
         values = np.frombuffer(self._data, dtype, int(np.prod(shape)), self._at).reshape(shape)
         if values.dtype.kind == "f" and not np.isfinite(values).all():
-            self.fail(f"{what} that are not finite")
+            self.fail(Message("{what} that are not finite", what=what))
         self._at += size
         return values
 
@@ -308,7 +328,7 @@ class _Reader:
         values = self.array("<f4", (count, 3), what)
         if np.abs(values).max(initial=0.0) > _MAX_COORDINATE:
             self._at = start
-            self.fail(f"{what} that are too far away")
+            self.fail(Message("{what} that are too far away", what=what))
         return np.asarray(values * _TO_HEAD, dtype=np.float32)
 
     def indices(self, shape: tuple[int, ...], limit: int, what: str) -> NDArray[np.int32]:
@@ -317,24 +337,24 @@ class _Reader:
         values = self.array("<i4", shape, what)
         if values.size and (values.min() < 0 or values.max() >= limit):
             self._at = start
-            self.fail(f"{what} with an index outside 0 to {limit - 1}")
+            self.fail(Message("{what} with an index outside 0 to {last}", what=what, last=limit - 1))
         return values.astype(np.int32)
 
     def differences(self, count: int) -> NDArray[np.float32]:
         """Read a scale and 16-bit displacements, (count, 3)."""
-        scale = float(self.array("<f4", (1,), "the scale of a morph")[0])
+        scale = float(self.array("<f4", (1,), Message("the scale of a morph"))[0])
         if abs(scale) > _MAX_COORDINATE / 2**15:
-            self.fail("a morph that moves too far")
-        return np.asarray(self.array("<i2", (count, 3), "a morph") * (scale * _TO_HEAD), dtype=np.float32)
+            self.fail(Message("a morph that moves too far"))
+        return np.asarray(self.array("<i2", (count, 3), Message("a morph")) * (scale * _TO_HEAD), dtype=np.float32)
 
     def label(self, wide: bool) -> str:
         """Read a text that is preceded by its length and ends with a null."""
-        length = self.count("letters of a label") * (2 if wide else 1)
-        self._need(length, "a label")
+        length = self.count(Message("letters of a label")) * (2 if wide else 1)
+        self._need(length, Message("a label"))
         text = self._data[self._at : self._at + length].decode("utf-16-le" if wide else "latin-1", "replace")
         self._at += length
         return text.partition("\0")[0]
 
     def _need(self, size: int, what: str) -> None:
         if self._at + size > len(self._data):
-            self.fail(f"the file ends within {what}")
+            self.fail(Message("the file ends within {what}", what=what))

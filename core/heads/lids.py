@@ -21,12 +21,15 @@ from .eye_outline import EYES, EyeOutline, eye_outline
 from .eyeballs import LID_THICKNESS
 from .lips import nearest_at_shares
 
-_MARGIN, _REACH = 0.1, 1.0
-"""In eye widths: margin at the corners, and extent, of the part of the mesh in which paths from lid to lid are sought.
-Outside of it a path might lead around an open eye."""
-_MAX_EDGE, _STRETCH = 0.1, 0.35
-"""In eye widths: longest edge near an eye over which lids can roll, and distance from the eye up to which they
-stretch."""
+_MARGIN = 0.1
+"""Margin, in eye widths, at the corners of the part of the mesh in which paths from lid to lid are sought. Outside of
+it a path might lead around an open eye."""
+_REACH = 1.0
+"""Extent of that part in eye widths."""
+_MAX_EDGE = 0.1
+"""Longest edge near an eye, in eye widths, over which lids can roll."""
+_STRETCH = 0.35
+"""Distance from the eye, in eye widths, up to which lids stretch."""
 _SNAP = 0.15
 """Share of an edge within which a vertex is moved onto the cut, which avoids slivers."""
 _MIN_RIM = 12
@@ -37,15 +40,18 @@ _LID_SHARES = (0.36, 0.68)
 """Positions of the two landmarks of a lid along the eye; 0.26 to 0.40 and 0.65 to 0.72 on labelled faces."""
 _RADIUS = 0.7
 """Radius of the sphere on which lids lie, in eye widths; lids of labelled faces lie within 0.01 to 0.02 of it (rms)."""
-_BESIDE, _FRONT_PERCENT = 0.15, 95.0
-"""Distance from the cut, in eye widths, of skin of which this percentage has to lie in front of the sphere. It is below
-100 so that a noisy pit does not push the eye inwards."""
+_BESIDE = 0.15
+"""Distance from the cut, in eye widths, of skin that has to lie in front of the sphere."""
+_FRONT_PERCENT = 95.0
+"""Percentage of that skin; below 100 so that a noisy pit does not push the eye inwards."""
 _STEEP = 0.95
 """Share of the sphere's radius beyond which its sides are too steep to be used."""
 _SPINE = (0.3, 0.7)
 """The part of an eye's middle line from which outward directions are measured."""
-_HALVINGS, _STEPS = 40, 12
-"""Number of bisections of an edge, and of Gauss-Newton steps for the sphere."""
+_HALVINGS = 40
+"""Number of bisections of an edge."""
+_STEPS = 12
+"""Number of Gauss-Newton steps for the sphere."""
 
 
 @dataclass(frozen=True)

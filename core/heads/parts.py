@@ -8,6 +8,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import messages
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
 from ..mesh.pieces import border_twins
 from ..mesh.surface import SurfaceGraph
@@ -34,15 +35,17 @@ class Part(IntEnum):
     TEETH_LOWER = 6
 
 
-PART_NAMES = {
-    Part.SKIN: "Skin",
-    Part.ON_HEAD: "On Head",
-    Part.ON_SKIN: "On Skin",
-    Part.EYE_RIGHT: "Right Eye",
-    Part.EYE_LEFT: "Left Eye",
-    Part.TEETH_UPPER: "Upper Teeth",
-    Part.TEETH_LOWER: "Lower Teeth",
-}
+PART_NAMES = messages(
+    {
+        Part.SKIN: "Skin",
+        Part.ON_HEAD: "On Head",
+        Part.ON_SKIN: "On Skin",
+        Part.EYE_RIGHT: "Right Eye",
+        Part.EYE_LEFT: "Left Eye",
+        Part.TEETH_UPPER: "Upper Teeth",
+        Part.TEETH_LOWER: "Lower Teeth",
+    }
+)
 """Names of the parts in the interface."""
 
 

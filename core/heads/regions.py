@@ -74,8 +74,10 @@ REGIONS: tuple[Region, Region, Region] = (
 )
 
 
-_HOLD, _MIN_WEIGHT = 0.3, 0.01
-"""Radius, in outer-eye distances, within which weights change for a landmark, and the least weight after that."""
+_HOLD = 0.3
+"""Radius, in outer-eye distances, within which weights change for a landmark."""
+_MIN_WEIGHT = 0.01
+"""Least weight after that."""
 
 
 def membership() -> NDArray[np.bool_]:

@@ -117,7 +117,11 @@ class HeadRig:
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)
         if landmarks.shape != (N_LANDMARKS,):
-            raise HeadError(f"{N_LANDMARKS} landmark vertices are needed; got {landmarks.shape}. Find the face first.")
+            raise HeadError(
+                "{n_landmarks} landmark vertices are needed; got {shape}. Find the face first.",
+                n_landmarks=N_LANDMARKS,
+                shape=landmarks.shape,
+            )
         if landmarks.min() < 0 or landmarks.max() >= len(self.vertices):
             raise HeadError("The vertices of the landmarks no longer exist. Bind the landmarks again.")
 

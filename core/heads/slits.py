@@ -158,6 +158,7 @@ class SlitContact:
             mine, facing = np.repeat(own, found.shape[1]), other[found.reshape(-1)]
             depth = ((posed[mine] - posed[facing]) * normals[facing]).sum(axis=1)
             needed = self._needed((mine, facing), depth, normals, slit.gap)
+            # d^2 - depth^2 is the squared distance along the plane.
             deep = (needed > 0.0) & (squared.reshape(-1) - depth**2 < lateral**2)
             step = 0.5 * needed[deep, None] * normals[facing[deep]]
             for rows, moved in ((mine[deep], step), (facing[deep], -step)):
@@ -170,8 +171,11 @@ class SlitContact:
     ) -> FloatArray:
         """Distance that the first vertex of each pair lacks along the normal of the second, (P,); 0 on its own side."""
         mine, facing = pairs
+        # At rest the vertex stood `before` in front of the plane; it may come as close as the gap, but not closer than
+        # it was.
         before = ((self._rest[mine] - self._rest[facing]) * self._normals[facing]).sum(axis=1)
         lacking = np.minimum(gap, before) - depth
+        # Planes hold only nearby: a vertex far behind one has not passed through the slit but is elsewhere on the face.
         passed = (lacking > _MIN_DEPTH * self._unit) & (lacking < _MAX_DEPTH * self._unit)
         passed &= (normals[mine] * normals[facing]).sum(axis=1) < _FACING
         return np.where(passed, lacking, 0.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import Message
 from ..face.apertures import lid_gaps, lip_gaps
 from ..face.coefficient_names import COEFFICIENT_INDEX
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS
@@ -83,19 +84,20 @@ def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQu
     return qualities
 
 
-def findings(qualities: Sequence[KeyQuality]) -> list[str]:
+def findings(qualities: Sequence[KeyQuality]) -> list[Message]:
     """Report how well keys shut eyes and lips, and how much passes through; figures that no key has are left out."""
     found = []
     if eyes := [100 * q.eyes for q in qualities if not np.isnan(q.eyes)]:
-        warning = f"Shut eyes stay open by {max(eyes):.1f} % at most"
-        found.append(warning)
+        found.append(Message("Shut eyes stay open by {eyes:.1f} % at most", eyes=max(eyes)))
     if lips := [100 * q.lips for q in qualities if not np.isnan(q.lips)]:
-        warning = f"Sealed lips stay apart by {max(lips):.1f} % of the eye distance at most"
-        found.append(warning)
+        found.append(Message("Sealed lips stay apart by {lips:.1f} % of the eye distance at most", lips=max(lips)))
     worst = max(qualities, key=lambda quality: quality.crossing, default=None)
     if worst is not None and worst.crossing:
-        warning = f"{worst.crossing} triangles at most pass through others, in {worst.name}"
-        found.append(warning)
+        found.append(
+            Message(
+                "{crossing} triangles at most pass through others, in {name}", crossing=worst.crossing, name=worst.name
+            )
+        )
     return found
 
 
@@ -119,6 +121,7 @@ class _Measure:
         if not shut:
             return float("nan")
         before, after = (lid_gaps((self._rest + moved)[self._landmarks]) for moved in (np.zeros_like(motion), motion))
+        # An eye that is modelled shut has no opening, and counts as shut.
         shares = after / np.maximum(before, 1e-9 * self._unit)
         return float(max(np.maximum(shares[pairs], 0.0).max() for pairs in shut))
 

@@ -79,8 +79,10 @@ def face_from_keys(vertices: FloatArray, mixtures: FloatArray, offsets: Sequence
         raise HeadError("Too few shape keys move the face to drive it by them. Use Find Face instead.")
     source, target = np.array(known), np.array(found)
     about, there = source.mean(axis=0), target.mean(axis=0)
+    # Axes of files differ by right angles; the means of a few keys are too rough for more.
     turn = _by_right_angles(fit_rotation(source - about, target - there))
     turned = (source - about) @ turn.T
+    # s = <R a, b> / |a|^2, as in `binding.align.similarity`.
     size = max(float((turned * (target - there)).sum() / np.square(turned).sum()), 1e-9)
     places = there + size * (head.vertices[head.landmarks] - about) @ turn.T
     return KeyedFace(turn.T, _different(vertices, places))

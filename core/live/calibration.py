@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import Message, SourceError
 from ..numeric.arrays import FloatArray
 from ..takes.face_space import load_face_space
 from ..takes.neutral import Neutral, calibrate, shut_level, trust
@@ -28,7 +28,7 @@ _MAX_EXPRESSION = 0.35
 """Amount of expression, in eye distances, above which the performer did not rest. On the labelled neutral faces of
 `lab.bench.expressions` it is below 0.1, and up to 0.9 elsewhere; brows are left out, as their height at rest
 differs."""
-_HARDLY_SEEN = "Your face was hardly visible. Look at the camera, with light from the front, and try again."
+_HARDLY_SEEN = Message("Your face was hardly visible. Look at the camera, with light from the front, and try again.")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Quality:
     """Quality of a calibration: whether it is `good`, and a `message` that says so or what to do better."""
 
     good: bool
-    message: str
+    message: Message
 
 
 class NeutralCalibration:
@@ -85,18 +85,18 @@ class NeutralCalibration:
         if found.sum() < _MIN_FRAMES:
             return Quality(False, _HARDLY_SEEN)
         if found.mean() < 0.8:
-            return Quality(False, "Your face was lost for a while. Stay in view and try again.")
+            return Quality(False, Message("Your face was lost for a while. Stay in view and try again."))
         shape = take.shape[found].astype(np.float64)
         if float(shape.std(axis=0).mean()) > _MAX_MOTION:
-            return Quality(False, "You moved. Keep a relaxed face for a second and try again.")
+            return Quality(False, Message("You moved. Keep a relaxed face for a second and try again."))
         if float(np.abs(np.median(take.pose[found, 2], axis=0))) > _MAX_YAW:
-            return Quality(False, "Your head was turned. Look straight at the camera and try again.")
+            return Quality(False, Message("Your head was turned. Look straight at the camera and try again."))
         frames = np.flatnonzero(found)
         space = load_face_space()
         shown = np.median(space.explain(shape, trust(take, frames)), axis=0)
         if space.amount(np.where(space.of_brows, 0.0, shown)[None])[0] > _MAX_EXPRESSION:
-            return Quality(False, "You showed an expression. Relax your face, close your mouth and try again.")
-        return Quality(True, "Neutral face set.")
+            return Quality(False, Message("You showed an expression. Relax your face, close your mouth and try again."))
+        return Quality(True, Message("Neutral face set."))
 
 
 class RangeCalibration:
@@ -143,7 +143,7 @@ class RangeCalibration:
             return Quality(False, _HARDLY_SEEN)
         learnt = self.neutral()
         if learnt.shut == 0.0:
-            return Quality(False, "No closed eyes seen. Close them for a second and try again.")
+            return Quality(False, Message("No closed eyes seen. Close them for a second and try again."))
         if learnt.mouth_gain == 1.0:
-            return Quality(False, "Your mouth was hardly opened. Open it wide and try again.")
-        return Quality(True, "Shut eyes and open mouth set.")
+            return Quality(False, Message("Your mouth was hardly opened. Open it wide and try again."))
+        return Quality(True, Message("Shut eyes and open mouth set."))

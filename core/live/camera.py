@@ -20,7 +20,7 @@ from typing import IO
 import cv2
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import Message, SourceError, messages
 from ..media.capture import is_address
 from .camera_process import FAILED, HEADER
 from .sources import LiveFrame, LiveSource
@@ -248,25 +248,32 @@ def explain_failure(failure: str, device: str) -> str:
     path = Path(f"/dev/video{device}") if device.isdecimal() and sys.platform == "linux" else None
     if failure in ("closed", "silent") and path is not None:
         if not os.path.exists(path):
-            return f"No camera {device}. Plug it in, choose another under Source, or use a video."
+            return Message(
+                "No camera {device}. Plug it in, choose another under Source, or use a video.", device=device
+            )
         if not os.access(path, os.R_OK | os.W_OK):
-            return f"There is no permission to use {path}. Join the group 'video' and log in again, or use a video."
+            return Message(
+                "There is no permission to use {path}. Join the group 'video' and log in again, or use a video.",
+                path=path,
+            )
     if sys.platform == "darwin" and failure in ("closed", "silent", "died"):
-        return (
+        return Message(
             "macOS did not grant access to the camera. Start Blender from Terminal and allow Terminal in System "
             "Settings > Privacy & Security > Camera, or use a video or a phone's stream."
         )
     return _EXPLANATIONS.get(failure, _EXPLANATIONS["died"])
 
 
-_EXPLANATIONS = {
-    "closed": "The camera cannot be opened. Plug it in, close other programs that use it, or choose another.",
-    "silent": "The camera sends no images; another program may be using it. Close that, or choose another camera.",
-    "gone": "The camera stopped: it was unplugged, or its stream ended. Plug it in again to continue.",
-    "hangs": "The camera does not respond. Unplug it and plug it in again, or choose another source.",
-    "died": "The driver of the camera crashed. Plug the camera in again, or choose another source.",
-    "no python": "Blender's Python, which reads the camera, cannot be started. Reinstall Blender, or use a video.",
-}
+_EXPLANATIONS = messages(
+    {
+        "closed": "The camera cannot be opened. Plug it in, close other programs that use it, or choose another.",
+        "silent": "The camera sends no images; another program may be using it. Close that, or choose another camera.",
+        "gone": "The camera stopped: it was unplugged, or its stream ended. Plug it in again to continue.",
+        "hangs": "The camera does not respond. Unplug it and plug it in again, or choose another source.",
+        "died": "The driver of the camera crashed. Plug the camera in again, or choose another source.",
+        "no python": "Blender's Python, which reads the camera, cannot be started. Reinstall Blender, or use a video.",
+    }
+)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import replace
 
-from ..errors import FacemimeError
+from ..errors import FacemimeError, Message
 from ..takes.between import at_rest, between
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
@@ -131,7 +131,7 @@ class Performer:
                 measured = self._stated is not None
                 self.neutral = replace(asked.neutral(), measured=measured)
             except FacemimeError as error:
-                quality = Quality(False, str(error))
+                quality = Quality(False, Message(str(error)))
             self.quality = quality
             if self._calibration is asked:  # last, as the results are read as soon as it is done
                 self._calibration = None

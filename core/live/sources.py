@@ -170,7 +170,9 @@ class PacedSource(LiveSource):
 
     def __init__(self, name: str, *, loop: bool = False, speed: float = 1.0) -> None:
         if not 0.01 <= speed <= 100.0:
-            raise SourceError(f"The speed must be between 0.01 and 100; got {speed:g}. Use 1 for the original speed.")
+            raise SourceError(
+                "The speed must be between 0.01 and 100; got {speed:g}. Use 1 for the original speed.", speed=speed
+            )
         self.name = name
         self._loop, self._speed = loop, speed
         self._closed = threading.Event()
@@ -261,17 +263,18 @@ class PicturePlayer(PacedSource):
         super().__init__(Path(folder).name, loop=loop, speed=speed)
         if not 0.1 <= rate <= 1000.0:
             raise SourceError(
-                f"The rate must be between 0.1 and 1000 frames per second; got {rate:g}. Use 25, for instance."
+                "The rate must be between 0.1 and 1000 frames per second; got {rate:g}. Use 25, for instance.",
+                rate=rate,
             )
         self._folder, self._rate = Path(folder), rate
 
     def frames(self) -> Iterator[LiveFrame]:
         """Iterate over the images in the folder; those that cannot be read are skipped."""
         if not os.path.isdir(self._folder):
-            raise SourceError(f"There is no folder {self._folder}. Choose the folder with the images.")
+            raise SourceError("There is no folder {folder}. Choose the folder with the images.", folder=self._folder)
         paths = sorted(path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
         if not paths:
-            raise SourceError(f"There are no images in {self._folder}. Use JPEG, PNG, BMP, TIFF or WebP.")
+            raise SourceError("There are no images in {folder}. Use JPEG, PNG, BMP, TIFF or WebP.", folder=self._folder)
         unreadable: SourceError | None = None
         shown = 0
         for path in paths:

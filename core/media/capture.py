@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SourceError
+from ..errors import Message, SourceError
 from ..files.closing import Closing
+from ..files.writing import reason_of
 from ..numeric.opencv import silence_opencv
 
 os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
@@ -79,11 +80,18 @@ class VideoSource(Closing):
         # FFmpeg takes text before a colon for a protocol, unless the path begins with a slash.
         self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
-            raise SourceError(f"{self.path} cannot be read as a video. Convert it to MP4 (H.264) and try again.")
+            raise SourceError(
+                "{path} cannot be read as a video. Convert it to MP4 (H.264) and try again.", path=self.path
+            )
         width, height = (int(self._capture.get(side)) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
         if width * height > MAX_PIXELS:
             self._capture.release()
-            raise SourceError(f"The frames of {self.path} are too large: {width} x {height} pixels. Scale it down.")
+            raise SourceError(
+                "The frames of {path} are too large: {width} x {height} pixels. Scale it down.",
+                path=self.path,
+                width=width,
+                height=height,
+            )
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
@@ -106,8 +114,9 @@ class VideoSource(Closing):
             index += 1
         if index == 0:
             raise SourceError(
-                f"No frame of {self.path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
-                "Convert it to MP4 (H.264) and try again."
+                "No frame of {path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
+                "Convert it to MP4 (H.264) and try again.",
+                path=self.path,
             )
 
     def close(self) -> None:
@@ -144,7 +153,7 @@ def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
 def require_file(path: Path) -> None:
     """Raise a SourceError if `path` is missing, not a regular file, or not readable."""
     if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Check the path.")
+        raise SourceError("There is no file {path}. Check the path.", path=path)
 
 
 def check_readable(path: Path) -> bool:
@@ -161,16 +170,18 @@ def check_readable(path: Path) -> bool:
         return False
     except PermissionError as error:
         raise SourceError(
-            f"{path} cannot be read: no permission to enter its folder. Change the folder's permissions."
+            "{path} cannot be read: no permission to enter its folder. Change the folder's permissions.", path=path
         ) from error
     except (OSError, ValueError) as error:  # too long, a loop of links, a zero byte
-        reason = (error.strerror or str(error)).lower() if isinstance(error, OSError) else str(error)
-        raise SourceError(f"{path} cannot be read: {reason}. Check the path.") from error
+        reason = reason_of(error) if isinstance(error, OSError) else error
+        raise SourceError("{path} cannot be read: {reason}. Check the path.", path=path, reason=reason) from error
     if not stat.S_ISREG(mode):
-        kind = "" if stat.S_ISDIR(mode) else " but a pipe or a device"
-        raise SourceError(f"{path} is not a file{kind}. Choose a file.")
+        kind = "" if stat.S_ISDIR(mode) else Message(" but a pipe or a device")
+        raise SourceError("{path} is not a file{kind}. Choose a file.", path=path, kind=kind)
     if not os.access(path, os.R_OK):
-        raise SourceError(f"{path} cannot be read: no permission. Change its permissions or copy it elsewhere.")
+        raise SourceError(
+            "{path} cannot be read: no permission. Change its permissions or copy it elsewhere.", path=path
+        )
     return True
 
 
@@ -181,7 +192,7 @@ def require_utf8_name(path: Path) -> None:
         whole.encode()
     except UnicodeEncodeError as error:
         name = os.fsencode(whole).decode(errors="backslashreplace")
-        raise SourceError(f"The name of {name} is not valid UTF-8. Rename it and try again.") from error
+        raise SourceError("The name of {name} is not valid UTF-8. Rename it and try again.", name=name) from error
 
 
 def is_address(text: str) -> bool:

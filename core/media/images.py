@@ -41,8 +41,13 @@ def read_image(path: Path) -> NDArray[np.uint8]:
         size = stated_size(data)
         if size is not None and (max(size) > MAX_SIDE or size[0] * size[1] > MAX_PIXELS):
             raise SourceError(
-                f"{path} is {size[0]} x {size[1]} pixels; the limit is {MAX_PIXELS // 10**6} megapixels "
-                f"and {MAX_SIDE} pixels per side. Scale it down and try again."
+                "{path} is {width} x {height} pixels; the limit is {max_pixels} megapixels "
+                "and {max_side} pixels per side. Scale it down and try again.",
+                path=path,
+                width=size[0],
+                height=size[1],
+                max_pixels=MAX_PIXELS // 10**6,
+                max_side=MAX_SIDE,
             )
         image = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except (OSError, ValueError, cv2.error) as error:
@@ -53,7 +58,7 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 
 
 def _unreadable(path: Path) -> SourceError:
-    return SourceError(f"{path} cannot be read as an image. Convert it to JPEG or PNG and try again.")
+    return SourceError("{path} cannot be read as an image. Convert it to JPEG or PNG and try again.", path=path)
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
@@ -71,7 +76,7 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     """
     path = Path(path)
     if path.suffix.lower() not in IMAGE_SUFFIXES:
-        raise OutputError(f"Cannot write {path}: use the suffix .png or .jpg.")
+        raise OutputError("Cannot write {path}: use the suffix .png or .jpg.", path=path)
     try:
         done, data = cv2.imencode(path.suffix, image)
     except cv2.error:  # some formats raise where others return False
@@ -79,7 +84,11 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
     if not done:
         height, width = image.shape[:2]
         raise OutputError(
-            f"Cannot write {path}: a {path.suffix} file cannot hold {width} x {height} pixels. Use the suffix .png."
+            "Cannot write {path}: a {suffix} file cannot hold {width} x {height} pixels. Use the suffix .png.",
+            path=path,
+            suffix=path.suffix,
+            width=width,
+            height=height,
         )
     with replacing(path) as temporary:
         temporary.write_bytes(data.tobytes())

@@ -77,6 +77,8 @@ def _pierces(edges_of: FloatArray, triangles: FloatArray) -> NDArray[np.bool_]:
     through = np.zeros(len(triangles), dtype=bool)
     for k in range(3):
         begin, along = edges_of[:, k], edges_of[:, (k + 1) % 3] - edges_of[:, k]
+        # Solves begin + share along = corner + first u + second v by Cramer's rule, whose determinants are triple
+        # products; that of the system, u . (along x v), is 0 if the edge is parallel to the triangle.
         across = np.cross(along, v)
         volume = (u * across).sum(axis=1)
         size = np.linalg.norm(along, axis=1) * np.linalg.norm(u, axis=1) * np.linalg.norm(v, axis=1)

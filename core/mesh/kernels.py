@@ -159,7 +159,7 @@ KERNELS: dict[str, Kernel] = {
 def get_kernel(name: str) -> Kernel:
     """Return a kernel by name; HeadError if the name is unknown."""
     if name not in KERNELS:
-        raise HeadError(f"There is no kernel {name!r}. Choose one of {', '.join(KERNELS)}.")
+        raise HeadError("There is no kernel {name!r}. Choose one of {known}.", name=name, known=", ".join(KERNELS))
     return KERNELS[name]
 
 

@@ -64,6 +64,8 @@ def rasterise(points: FloatArray, depth: FloatArray, triangles: IntArray, size: 
     buffer = np.full(size * size, np.inf, np.float32)
     for chosen, low, side in _groups(corners, size):
         pixel, triangle, weights, z = _candidates(corners, nearness, chosen, low, side, size)
+        # Sorted by pixel and depth, the first of each pixel is its nearest candidate; it wins if it is nearer than what
+        # earlier groups drew there.
         order = np.lexsort((z, pixel))
         order = order[np.diff(pixel[order], prepend=-1) > 0]
         order = order[z[order] < buffer[pixel[order]]]
@@ -82,6 +84,7 @@ def _groups(corners: FloatArray, size: int) -> Iterator[tuple[NDArray[np.intp], 
     high = np.clip(np.floor(corners.max(axis=1)), -1, size - 1).astype(np.intp)
     extent = high - low + 1
     inside = (extent > 0).all(axis=1)
+    # A triangle of level k fits into a box of 2^k pixels a side.
     level = np.ceil(np.log2(np.maximum(extent.max(axis=1), 1))).astype(int)
     left = _BUDGET
     for k in np.unique(level[inside]).tolist():
@@ -104,6 +107,7 @@ def _candidates(
     down, across = np.divmod(np.arange(side * side), side)
     x, y = low[:, :1] + across, low[:, 1:] + down
     px, py = x.astype(np.float32) - a[:, :1], y.astype(np.float32) - a[:, 1:]
+    # Barycentric coordinates by Cramer's rule: p - a = wb u + wc v.
     wb, wc = (px * v[:, 1:] - py * v[:, :1]) / area, (u[:, :1] * py - u[:, 1:] * px) / area
     wa = 1.0 - wb - wc
     row, col = np.nonzero((wa >= 0) & (wb >= 0) & (wc >= 0) & (x < size) & (y < size))

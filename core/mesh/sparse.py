@@ -24,9 +24,10 @@ _LEAF = 64
 """Number of unknowns up to which a part is not divided further, as dense elimination is then faster."""
 _BITS = 2
 """Halvings per level. Two, which divide a part into quarters, need half as many copies between levels as one."""
-_BATCH, _MIN_BATCHES = 64, 32
-"""Largest number of parts in a batch, whose matrices fit into the CPU's second-level cache, and smallest number of
-batches of a level with that many parts; parts of a batch should have similar sizes."""
+_BATCH = 64
+"""Largest number of parts in a batch, whose matrices fit into the CPU's second-level cache."""
+_MIN_BATCHES = 32
+"""Smallest number of batches of a level with that many parts, as parts of a batch should have similar sizes."""
 
 
 @dataclass(frozen=True)

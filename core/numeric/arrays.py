@@ -55,10 +55,14 @@ def as_points(
     array: FloatArray = np.ascontiguousarray(values, dtype=dtype)
     expected = f"({'N' if count is None else count}, {dims})"
     if array.ndim != 2 or array.shape[1] != dims or (count is not None and array.shape[0] != count):
-        raise error(f"{name} must have the shape {expected}; got {array.shape}.")
+        raise error(
+            "{name} must have the shape {expected}; got {shape}.", name=name, expected=expected, shape=array.shape
+        )
     if finite and not np.isfinite(array).all():
         rows = np.flatnonzero(~np.isfinite(array).all(axis=1))
-        raise error(f"{name} must be finite; {len(rows)} rows are not, first row {rows[0]}.")
+        raise error(
+            "{name} must be finite; {rows} rows are not, first row {first}.", name=name, rows=len(rows), first=rows[0]
+        )
     return array
 
 
@@ -91,7 +95,7 @@ def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
     if image.ndim == 3 and image.shape[2] == 4:
         image = image[..., :3]
     if image.ndim not in (2, 3) or (image.ndim == 3 and image.shape[2] != 3) or image.size == 0:
-        raise FacemimeError(f"{name} must be (H, W), (H, W, 3) or (H, W, 4); got {image.shape}.")
+        raise FacemimeError("{name} must be (H, W), (H, W, 3) or (H, W, 4); got {shape}.", name=name, shape=image.shape)
     if image.dtype == np.uint8:
         return np.ascontiguousarray(image)
     if image.dtype == np.uint16:
@@ -101,4 +105,4 @@ def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
         return np.ascontiguousarray((np.clip(known, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     if image.dtype == np.bool_:
         return np.ascontiguousarray(image.astype(np.uint8) * 255)
-    raise FacemimeError(f"{name} must be 8 or 16 bit, or float in 0..1; got {image.dtype}.")
+    raise FacemimeError("{name} must be 8 or 16 bit, or float in 0..1; got {dtype}.", name=name, dtype=image.dtype)

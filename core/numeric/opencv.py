@@ -7,7 +7,7 @@ import re
 import cv2
 import numpy as np
 
-from ..errors import ModelError
+from ..errors import Message, ModelError
 
 _SUPPORTED = (4, 11), (5, 0)
 """The oldest supported version, and the first that is not: it has other networks and no cascades."""
@@ -29,18 +29,21 @@ def read_network(onnx: bytes) -> cv2.dnn.Net:
     version = tuple(int(part) for part in re.findall(r"\d+", cv2.__version__)[:2])
     if not _SUPPORTED[0] <= version < _SUPPORTED[1]:
         raise ModelError(
-            f"OpenCV {cv2.__version__} is installed, but Facemime needs 4.11. "
-            "Disable other extensions that contain OpenCV, and restart Blender."
+            "OpenCV {version} is installed, but Facemime needs 4.11. "
+            "Disable other extensions that contain OpenCV, and restart Blender.",
+            version=cv2.__version__,
         )
     try:
         return cv2.dnn.readNetFromONNX(np.frombuffer(onnx, np.uint8))
     except cv2.error as error:
-        raise network_error("read") from error
+        raise network_error(Message("read")) from error
 
 
 def network_error(what: str) -> ModelError:
     """Return the error for a network that OpenCV cannot `what` ("read" or "run")."""
     return ModelError(
-        f"OpenCV {cv2.__version__} cannot {what} a network of the tracker model. "
-        "Install opencv-contrib-python-headless 4.11, or reinstall Facemime."
+        "OpenCV {version} cannot {what} a network of the tracker model. "
+        "Install opencv-contrib-python-headless 4.11, or reinstall Facemime.",
+        version=cv2.__version__,
+        what=what,
     )

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..control_points.selection_settings import SelectionSettings
 from ..drive.drive_settings import DriveSettings, PosingSettings
-from ..errors import SourceError
+from ..errors import SourceError, messages
 from ..files.assets import ASSETS
 from ..files.preset_files import SUFFIX, Values, from_json
 from ..files.reading import read_text
@@ -15,7 +15,9 @@ from ..files.setting import Setting, settings_of
 from ..tracking.tracking_settings import TrackingSettings
 from .puppet_settings import PuppetSettings
 
-BUILT_IN = {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
+BUILT_IN = messages(
+    {"calm_speech": "Calm Speech", "strong": "Strong", "cartoon": "Cartoon", "yao_2019": "Yao et al. 2019"}
+)
 """Labels of the shipped presets by file name; these cannot be removed."""
 COMMAND_NAMES = {"calm-speech": "calm_speech", "strong": "strong", "cartoon": "cartoon", "paper": "yao_2019"}
 """Names of the shipped presets on the command line."""
@@ -43,6 +45,8 @@ def read_preset(path: Path) -> Values:
     try:
         return from_json(read_text(path), CONTENTS)
     except (OSError, ValueError) as error:
-        raise SourceError(f"{path} is not a valid preset ({error}). Choose another file.") from error
+        raise SourceError(
+            "{path} is not a valid preset ({error}). Choose another file.", path=path, error=error
+        ) from error
     except SourceError as error:
-        raise SourceError(f"{path}: {error}") from error
+        raise SourceError("{path}: {error}", path=path, error=error) from error

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..bake.key_map import best_preset
+from ..errors import DataError
 from ..face.coefficient_names import N_COEFFICIENTS
 from ..numeric.arrays import FloatArray
 from ..takes.coefficient_take import coefficient_take
@@ -64,7 +65,7 @@ def coefficients_of_keys(curves: Mapping[str, FloatArray]) -> tuple[FloatArray, 
     """
     table = best_preset(list(curves))
     if table is None:
-        raise ValueError(f"none of its {len(curves)} curves has the name of a known expression")
+        raise DataError("none of its {curves} curves has the name of a known expression", curves=len(curves))
     length = len(next(iter(curves.values())))
     values = table.invert(curves, np.zeros((length, N_COEFFICIENTS)))
     return values, [table.summary()]
@@ -85,9 +86,9 @@ def recorded(performance: CoefficientTrack, name: str) -> Take:
     """
     times = performance.times - performance.times[:1]
     if not len(times):
-        raise ValueError("it has no frames")
+        raise DataError("it has no frames")
     if (np.diff(times) <= 0.0).any():
-        raise ValueError("its times do not increase")
+        raise DataError("its times do not increase")
     still = np.zeros((len(times), 3))
     return coefficient_take(
         name,

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import DataError, Message
 from ..face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from ..face.rotation import euler_to_matrix, from_face_axes, matrix_to_euler
 from ..files.reading import as_list, as_number, as_object, as_text, parse_json, read_text
@@ -69,12 +70,17 @@ def read_audio2face(path: Path) -> CoefficientTrack:
     rows = as_list(data.get("weightMat"), "weightMat", _MAX_FRAMES)
     fps = as_number(data.get("exportFps", _AUDIO2FACE_RATE), "exportFps", 1.0, 1000.0)
     if not names or not rows:
-        raise ValueError("it has no frames")
+        raise DataError("it has no frames")
     values = np.empty((len(rows), len(names)))
     for number, row in enumerate(rows):
         cells = as_list(row, "a frame", _MAX_CURVES)
         if len(cells) != len(names):
-            raise ValueError(f"frame {number + 1} has {len(cells)} values for {len(names)} names")
+            raise DataError(
+                "frame {number} has {cells} values for {names} names",
+                number=number + 1,
+                cells=len(cells),
+                names=len(names),
+            )
         values[number] = [as_number(cell, "a value", -_MAX_VALUE, _MAX_VALUE) for cell in cells]
     coefficients, notes = coefficients_of_keys(dict(zip(names, values.T, strict=True)))
     return CoefficientTrack(np.arange(len(rows)) / fps, coefficients, notes=notes)
@@ -97,11 +103,11 @@ def read_face_cap(text: str) -> CoefficientTrack:
         elif row and row[0].strip() == "k":
             cells = [cell.strip() for cell in row[1 : _FIRST_CURVE + len(names)]]
             if len(cells) < _FIRST_CURVE - 1 + len(names) or not all(map(is_number, cells)):
-                raise ValueError(f"line {number} is not a frame of {len(names)} values")
+                raise DataError("line {number} is not a frame of {names} values", number=number, names=len(names))
             frames.append([float(cell) for cell in cells])
     values = np.array(frames)
     if not len(values) or not np.isfinite(values).all() or np.abs(values).max() > 1e15:
-        raise ValueError("it has no frames" if not frames else "it has values that are not possible numbers")
+        raise DataError("it has no frames" if not frames else "it has values that are not possible numbers")
     coefficients, notes = coefficients_of_keys(dict(zip(names, values[:, _FIRST_CURVE - 1 :].T, strict=True)))
     turns = np.array([from_face_axes(*angles) for angles in (values[:, 4:7] * pi / 180.0).tolist()])
     moved = (values[:, 1:4] - values[0, 1:4]) * (1.0, -1.0, -1.0)
@@ -114,13 +120,13 @@ def read_openface(table: TextTable) -> CoefficientTrack:
     rows = []
     for number, row in enumerate(table.lines, start=1):
         if number > _MAX_FRAMES:
-            raise ValueError(f"it has more than {_MAX_FRAMES:,} rows")
+            raise DataError("it has more than {max_frames:,} rows", max_frames=_MAX_FRAMES)
         if len(row) < len(table.head) or not all(map(is_number, row[: len(table.head)])):
-            raise ValueError(f"row {number} has a value that is not a number")
+            raise DataError("row {number} has a value that is not a number", number=number)
         rows.append([float(cell) for cell in row[: len(table.head)]])
     values = np.nan_to_num(np.array(rows, ndmin=2), posinf=0.0, neginf=0.0)
     if not rows or "timestamp" not in places:
-        raise ValueError("it has no times of frames")
+        raise DataError("it has no times of frames")
     faces = values[:, places["face_id"]] if "face_id" in places else np.zeros(len(values))
     values = values[faces == faces[0]]
     columns = {title: values[:, place] for title, place in places.items()}
@@ -134,8 +140,8 @@ def read_openface(table: TextTable) -> CoefficientTrack:
         coefficients[:, LOOKS] = _looks(turns, columns[_GAZE[0]], columns[_GAZE[1]])
     rotations = np.array([matrix_to_euler(turn) for turn in turns])
     found = columns["success"] > 0.5 if "success" in columns else None
-    warning = "OpenFace's action units do not tell left from right. They were used for both sides."
-    return CoefficientTrack(columns["timestamp"], coefficients, rotations, found=found, notes=[warning])
+    note = Message("OpenFace's action units do not tell left from right. They were used for both sides.")
+    return CoefficientTrack(columns["timestamp"], coefficients, rotations, found=found, notes=[note])
 
 
 def _turn(x: float, y: float, z: float) -> FloatArray:

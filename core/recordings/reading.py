@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from ..errors import SourceError
+from ..errors import Message, SourceError
 from ..media.capture import check_readable
 from ..takes.coefficient_table import from_any_csv
 from ..takes.table_angles import AUTOMATIC
@@ -41,7 +41,7 @@ def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
     """
     path = Path(path)
     if not check_readable(path):
-        raise SourceError(f"There is no file {path}. Check its name.")
+        raise SourceError("There is no file {path}. Check its name.", path=path)
     program, reader = _READERS.get(path.suffix.lower(), ("", None))
     try:
         if reader is not None:
@@ -50,7 +50,12 @@ def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
             program, performance = found
             return recorded(performance, path.name)
     except (ValueError, OSError, csv.Error) as error:
-        raise SourceError(f"{path} cannot be read as a recording of {program or 'a program'}: {error}.") from error
+        raise SourceError(
+            "{path} cannot be read as a recording of {program}: {error}.",
+            path=path,
+            program=program or Message("a program"),
+            error=error,
+        ) from error
     return from_any_csv(path, angles)
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import DataError
 from ..files.reading import read_text
 from ..numeric.arrays import FloatArray
 from .curves import CoefficientTrack, coefficients_of_keys
@@ -29,7 +30,7 @@ def read_unity_clip(path: Path) -> CoefficientTrack:
     """Read a clip that Unity saved as text; ValueError if it is anything else, OSError if it cannot be read."""
     text = read_text(path)
     if not text.startswith(_HEADER) or "AnimationClip:" not in text:
-        raise ValueError("it is not a clip that Unity saved as text (Edit > Project Settings > Editor > Force Text)")
+        raise DataError("it is not a clip that Unity saved as text (Edit > Project Settings > Editor > Force Text)")
     body = text.partition("  m_FloatCurves:")[2]
     body = body[: match.start()] if (match := re.search(r"^  m_\w+:", body, re.MULTILINE)) else body
     starts = [match.start() for match in _CURVE.finditer(body)]
@@ -41,13 +42,13 @@ def read_unity_clip(path: Path) -> CoefficientTrack:
             if len(points):  # the first mesh counts, as others that have the same key show the same
                 keys.setdefault(named[1], points[np.argsort(points[:, 0], kind="stable")])
     if not keys:
-        raise ValueError("it has no curves of blend shapes")
+        raise DataError("it has no curves of blend shapes")
     rate = _number(match[1]) if (match := _SAMPLES.search(text)) else _RATE
     if not 0.0 < rate <= _FASTEST:
-        raise ValueError(f"it states {rate:g} frames per second")
+        raise DataError("it states {rate:g} frames per second", rate=rate)
     first, last = min(of[0, 0] for of in keys.values()), max(of[-1, 0] for of in keys.values())
     if (last - first) * rate > _MAX_FRAMES:
-        raise ValueError(f"it has more than {_MAX_FRAMES:,} frames")
+        raise DataError("it has more than {max_frames:,} frames", max_frames=_MAX_FRAMES)
     times = first + np.arange(round((last - first) * rate) + 1) / rate
     curves = {name: _sampled(of, times) / _FULL for name, of in keys.items()}
     values, notes = coefficients_of_keys(curves)
@@ -58,7 +59,7 @@ def _number(text: str) -> float:
     """Read a number, or a slope, which is infinite where a curve jumps."""
     value = float(text.replace("Infinity", "inf"))
     if np.isnan(value):
-        raise ValueError("it has values that are not possible numbers")
+        raise DataError("it has values that are not possible numbers")
     return value
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from ..errors import Message
 from .casting import Address
 from .protocols.face_motion import MAGIC
 from .protocols.frames import PacketError
@@ -69,45 +70,71 @@ class Diagnosis:
         settings = self._settings
         if settings.pairing is not None:
             address = settings.pairing.address
-            return f"Nothing arrived from {address}. Check that it is sending, and the firewall there."
+            return Message(
+                "Nothing arrived from {address}. Check that it is sending, and the firewall there.", address=address
+            )
         if settings.phone:
-            return (
-                f"Nothing arrived from the phone {settings.phone}. "
-                "Check its address and the firewall, and that the app is open."
+            return Message(
+                "Nothing arrived from the phone {phone}. Check its address and the firewall, and that the app is open.",
+                phone=settings.phone,
             )
         place = f"{settings.host}:{settings.port}"
         if is_loopback(settings.host):
-            return (
-                f"Nothing arrived at {place}, which only this computer can send to. "
-                "Check the address and the port in the sender; for other devices, listen on 0.0.0.0."
+            return Message(
+                "Nothing arrived at {place}, which only this computer can send to. "
+                "Check the address and the port in the sender; for other devices, listen on 0.0.0.0.",
+                place=place,
             )
-        return f"Nothing arrived at {place}. Check the address and the port in the app, and the firewall."
+        return Message(
+            "Nothing arrived at {place}. Check the address and the port in the app, and the firewall.", place=place
+        )
 
     def _say(self, text: str, now: float) -> None:
         self._last = now, text
 
     def _refusal(self, reason: Refusal, host: str) -> str:
         if reason is Refusal.NO_KEY_HERE:
-            return f"{host} sends with a shared key, and none is set here. Choose its file under Key."
+            return Message(
+                "{host} sends with a shared key, and none is set here. Choose its file under Key.", host=host
+            )
         if reason is Refusal.NO_KEY_THERE:
-            return f"{host} sends without a key, but one is set here. Use the same key on both computers, or none."
+            return Message(
+                "{host} sends without a key, but one is set here. Use the same key on both computers, or none.",
+                host=host,
+            )
         if reason is Refusal.OTHER_KEY:
-            return f"{host} sends with a different key. Copy one key file to both computers."
+            return Message("{host} sends with a different key. Copy one key file to both computers.", host=host)
         if reason is Refusal.NOT_THE_PHONE:
             phone = self._settings.phone
-            return f"Packets arrive from {host}, but the phone is {phone}. Check the phone's address."
+            return Message(
+                "Packets arrive from {host}, but the phone is {phone}. Check the phone's address.",
+                host=host,
+                phone=phone,
+            )
         return ""
 
     def _foreign(self, data: bytes, host: str) -> str:
         label = PROTOCOLS[self._settings.protocol].label
         if (name := recognise(data, self._settings)) is None:
-            return f"What arrives from {host} is not {label}, nor another protocol known here. Check what it sends."
+            return Message(
+                "What arrives from {host} is not {label}, nor another protocol known here. Check what it sends.",
+                host=host,
+                label=label,
+            )
         other = PROTOCOLS[name].label
-        return f"What arrives from {host} looks like {other}, not {label}. Choose protocol {name}."
+        return Message(
+            "What arrives from {host} looks like {other}, not {label}. Choose protocol {name}.",
+            host=host,
+            other=other,
+            label=label,
+            name=name,
+        )
 
 
 def _faceless(host: str) -> str:
-    return f"Packets arrive from {host}, but no face in them. Check in the app that it sends the face."
+    return Message(
+        "Packets arrive from {host}, but no face in them. Check in the app that it sends the face.", host=host
+    )
 
 
 def recognise(data: bytes, settings: StreamSettings) -> str | None:

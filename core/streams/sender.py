@@ -104,10 +104,16 @@ class StreamSender:
 
     def __init__(self, settings: SendSettings, options: DriveSettings = _DEFAULTS) -> None:
         if settings.protocol not in SENT:
-            raise SourceError(f"There is no protocol {settings.protocol!r} to send. Use one of {', '.join(SENT)}.")
+            raise SourceError(
+                "There is no protocol {protocol!r} to send. Use one of {known}.",
+                protocol=settings.protocol,
+                known=", ".join(SENT),
+            )
         if settings.expressions not in EXPRESSIONS:
             raise SourceError(
-                f"There are no expressions {settings.expressions!r}. Use one of {', '.join(EXPRESSIONS)}."
+                "There are no expressions {expressions!r}. Use one of {known}.",
+                expressions=settings.expressions,
+                known=", ".join(EXPRESSIONS),
             )
         if settings.protocol == OWN and settings.key is None and not settings.is_local:
             raise SourceError("A stream to another computer needs a shared key. Choose its file under Key.")

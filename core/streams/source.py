@@ -11,6 +11,7 @@ from time import perf_counter
 
 import numpy as np
 
+from ..errors import Message
 from ..face.coefficient_names import COEFFICIENT_MIRROR
 from ..live.sources import LiveFrame, LiveSource
 from ..numeric.arrays import FloatArray
@@ -171,7 +172,11 @@ class StreamSource(LiveSource):
         """What to change if no face has arrived: the address, the protocol, the key or the sender."""
         if self.senders and (wanted := ", ".join(filter(None, self._wanted()))):
             names = ", ".join(self.senders)
-            return f"Faces arrive from {names}, but not from {wanted}. Choose one of these senders."
+            return Message(
+                "Faces arrive from {names}, but not from {wanted}. Choose one of these senders.",
+                names=names,
+                wanted=wanted,
+            )
         return self._diagnosis.message() or self._diagnosis.nothing_came()
 
     @property

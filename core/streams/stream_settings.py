@@ -167,18 +167,30 @@ class StreamSettings:
     def checked(self) -> StreamSettings:
         """Return the settings with definite port and address; SourceError if they cannot be used."""
         if self.protocol not in PROTOCOLS:
-            raise SourceError(f"There is no protocol {self.protocol!r}. Use one of {', '.join(PROTOCOLS)}.")
+            raise SourceError(
+                "There is no protocol {protocol!r}. Use one of {known}.",
+                protocol=self.protocol,
+                known=", ".join(PROTOCOLS),
+            )
         protocol = PROTOCOLS[self.protocol]
         if not 0 <= self.port <= 65535:
-            raise SourceError(f"There is no port {self.port}. Use one between 1 and 65535, or 0 for the usual one.")
+            raise SourceError(
+                "There is no port {port}. Use one between 1 and 65535, or 0 for the usual one.", port=self.port
+            )
         if not _MIN_DELAY <= self.delay <= _MAX_DELAY:
-            raise SourceError(f"The delay must be between 0 and {_MAX_DELAY:g} s; got {self.delay:g}.")
+            raise SourceError(
+                "The delay must be between 0 and {max_delay:g} s; got {delay:g}.",
+                max_delay=_MAX_DELAY,
+                delay=self.delay,
+            )
         if self.angles not in ANGLES or set(self.flip) - set(AXES):
             raise SourceError(
                 "Angles must be radians, degrees or half-turns, and only pitch, yaw and roll can be flipped."
             )
         if protocol.phone_port and not self.phone:
-            raise SourceError(f"{protocol.label} needs the address of the phone. Enter the one that the app shows.")
+            raise SourceError(
+                "{label} needs the address of the phone. Enter the one that the app shows.", label=protocol.label
+            )
         if self.pairing is not None and self.protocol != OWN:
             raise SourceError("Pairing works only with Facemime's own protocol. Choose Facemime as the protocol.")
         if self.protocol == OWN and self.pairing is None and self.key is None and not self.is_local:

@@ -9,7 +9,7 @@ import socket
 import ssl
 from contextlib import suppress
 
-from ..errors import SourceError
+from ..errors import Message, SourceError, messages
 from .casting import Address
 from .links import call, has_answered
 from .transport.addresses import resolve
@@ -25,16 +25,18 @@ _PORTION = 1 << 14
 """Number of bytes read at a time, which is also the most that is buffered besides a message."""
 _MAX_EMPTY = 16
 """Largest number of consecutive empty messages, which show that the sender is connected; one is sent each second."""
-_EXPLANATIONS = {
-    "tls": "it does not support TLS 1.3",
-    "cut": "the connection was lost",
-    "ended": "it closed the connection",
-    "silent": "it does not answer",
-    "other": "it is not Facemime, or is a different version",
-    "faceless": "it sends something other than a face",
-    "certificate": "its certificate is different",
-    "token": "it does not know this token",
-}
+_EXPLANATIONS = messages(
+    {
+        "tls": "it does not support TLS 1.3",
+        "cut": "the connection was lost",
+        "ended": "it closed the connection",
+        "silent": "it does not answer",
+        "other": "it is not Facemime, or is a different version",
+        "faceless": "it sends something other than a face",
+        "certificate": "its certificate is different",
+        "token": "it does not know this token",
+    }
+)
 """Reasons why no data arrive."""
 _CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
 
@@ -190,7 +192,9 @@ class TlsLink:
 
     def _give_up(self, now: float, reason: str) -> None:
         """Close the connection and report why; the next attempt follows after a pause."""
-        self.message = str(SourceError(f"No data from {self.pairing.address}: {reason}. Facemime keeps trying."))
+        self.message = Message(
+            "No data from {address}: {reason}. Facemime keeps trying.", address=self.pairing.address, reason=reason
+        )
         self._again = now + _AGAIN
         if self._socket is not None:
             with suppress(OSError):
@@ -199,4 +203,8 @@ class TlsLink:
 
     def _refuse(self, now: float, reason: str) -> None:
         self._give_up(now, reason)
-        raise SourceError(f"{self.pairing.address} is not the paired computer: {reason}. Paste its pairing line again.")
+        raise SourceError(
+            "{address} is not the paired computer: {reason}. Paste its pairing line again.",
+            address=self.pairing.address,
+            reason=reason,
+        )

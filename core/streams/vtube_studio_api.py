@@ -17,7 +17,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from ..drive.drive_settings import DriveSettings
-from ..errors import SourceError
+from ..errors import Message
 from ..face.coefficient_names import COEFFICIENT_INDEX
 from ..face.rotation import to_face_axes
 from ..files.reading import read_bytes
@@ -194,7 +194,7 @@ class VTubeStudioSender(Connecting):
                 self.message = ""
                 self._feed(connection)
         except ApiError as error:
-            self.message = str(SourceError(f"VTube Studio refused: {error}"))
+            self.message = Message("VTube Studio refused: {error}", error=error)
             self._over = self._over or error.number == _DENIED
         except (OSError, WebSocketException, ValueError):
             self.message = _silence(self._where)
@@ -205,7 +205,7 @@ class VTubeStudioSender(Connecting):
         token = self._kept()
         for _ in range(2):
             if not token:
-                self.message = str(SourceError("VTube Studio is asking for permission. Click Allow there."))
+                self.message = Message("VTube Studio is asking for permission. Click Allow there.")
                 answer = self._ask(connection, "AuthenticationToken", plugin, _ASKING)
                 token = str(answer.get("authenticationToken", ""))[:_MAX_TOKEN]
                 self._keep(token)
@@ -213,7 +213,7 @@ class VTubeStudioSender(Connecting):
             if self._ask(connection, "Authentication", shown, _ANSWERING).get("authenticated") is True:
                 return
             token = ""
-        raise ApiError(0, "it rejected the token it had just issued. Restart VTube Studio.")
+        raise ApiError(0, Message("it rejected the token it had just issued. Restart VTube Studio."))
 
     def _ask(self, connection: ClientConnection, kind: str, data: dict[str, Any], patience: float) -> dict[str, Any]:
         """Send a request, and return the answer."""
@@ -279,7 +279,9 @@ def _checked(data: str | bytes) -> dict[str, Any]:
 
 
 def _silence(where: str) -> str:
-    return str(SourceError(f"VTube Studio does not answer at {where}. Enable Allow Plugin API access in its settings."))
+    return Message(
+        "VTube Studio does not answer at {where}. Enable Allow Plugin API access in its settings.", where=where
+    )
 
 
 def _within(number: float) -> float:

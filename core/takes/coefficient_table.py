@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SourceError
+from ..errors import DataError, Message, SourceError
 from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
 from ..files.reading import shown
 from ..files.writing import replacing
@@ -95,12 +95,14 @@ def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
     """
     path = Path(path)
     if not check_readable(path):
-        raise SourceError(f"There is no table {path}. Check its name.")
+        raise SourceError("There is no table {path}. Check its name.", path=path)
     try:
         return _take(read_table(path, _is_known), path.name, angles)
     except (ValueError, OSError, csv.Error) as error:
         raise SourceError(
-            f"{path} cannot be read as a table of coefficients: {error}. Compare it with an exported one."
+            "{path} cannot be read as a table of coefficients: {error}. Compare it with an exported one.",
+            path=path,
+            error=error,
         ) from error
 
 
@@ -183,21 +185,22 @@ def _columns(head: Sequence[str]) -> dict[int, int]:
 def _take(table: TextTable, name: str, angles: str) -> Take:
     columns = _columns(table.head)
     if len(columns) < _MIN_NAMES:
-        raise ValueError(f"only {len(columns)} of its columns are coefficients")
+        raise DataError("only {columns} of its columns are coefficients", columns=len(columns))
     if len(set(columns.values())) < len(columns):
-        raise ValueError("two of its columns are the same coefficient")
+        raise DataError("two of its columns are the same coefficient")
     rows = list(islice(table.lines, _MAX_ROWS + 1))
     if len(rows) > _MAX_ROWS:
-        raise ValueError(f"it has more than {_MAX_ROWS:,} rows")
+        raise DataError("it has more than {max_rows:,} rows", max_rows=_MAX_ROWS)
     if not rows:
-        raise ValueError("it has no rows")
+        raise DataError("it has no rows")
     every, notes = times_of_rows(rows, table.head)
     kept = _increasing(every)
     times, rows = every[kept] - every[kept][0], [row for row, keep in zip(rows, kept, strict=True) if keep]
     if not kept.all():
         count, total = int((~kept).sum()), len(kept)
-        warning = f"{count} of {total} rows repeat an earlier time and were left out."
-        notes.append(warning)
+        notes.append(
+            Message("{count} of {total} rows repeat an earlier time and were left out.", count=count, total=total)
+        )
     values, found = _values(rows, table.head, columns, notes)
     turns, eyes = zip(*_poses(rows, table.head, values, angles, notes), strict=True)
     return coefficient_take(name, times, values, turns, eyes=eyes, found=found, notes=notes)
@@ -213,16 +216,20 @@ def _values(
     known = list(columns.values())
     found = np.isfinite(values[:, known]).any(axis=1)
     if not found.any():
-        raise ValueError("all its coefficients are missing")
+        raise DataError("all its coefficients are missing")
     if not found.all():
         count, total = int((~found).sum()), len(found)
-        warning = f"{count} of {total} rows have no coefficients and count as frames without a face."
-        notes.append(warning)
+        notes.append(
+            Message(
+                "{count} of {total} rows have no coefficients and count as frames without a face.",
+                count=count,
+                total=total,
+            )
+        )
     values = np.column_stack([_between(column) for column in values.T])
     if values.max() > _MOST:
         values *= 0.01
-        warning = "The coefficients were read as percentages."
-        notes.append(warning)
+        notes.append(Message("The coefficients were read as percentages."))
     return values, found
 
 
@@ -243,8 +250,7 @@ def _poses(
             stated = known[1] or stated
     unit = (stated or unit_of_angles(turns, values)) if angles == AUTOMATIC else angles
     if turns.any():
-        warning = f"The angles were read as {unit}."
-        notes.append(warning)
+        notes.append(Message("The angles were read as {unit}.", unit=unit))
     return zip(*poses_of(turns, unit), strict=True)
 
 
@@ -253,7 +259,7 @@ def _increasing(times: FloatArray) -> NDArray[np.bool_]:
     before = np.maximum.accumulate(np.concatenate([[-np.inf], times[:-1]]))
     kept = times > before
     if (~kept).sum() > max(_FEW * len(times), 1.0) or (len(times) < _SHORT and not kept.all()):
-        raise ValueError("its times do not increase")
+        raise DataError("its times do not increase")
     return np.asarray(kept)
 
 
@@ -269,5 +275,10 @@ def _numbers(rows: list[list[str]], column: int, name: str) -> FloatArray:
         except ValueError:
             values[number] = np.inf
         if not abs(values[number]) <= _MAX_NUMBER:
-            raise ValueError(f"row {number + 1} has {shown(text)} for {name}, which is not a possible number")
+            raise DataError(
+                "row {number} has {text} for {name}, which is not a possible number",
+                number=number + 1,
+                text=shown(text),
+                name=name,
+            )
     return values

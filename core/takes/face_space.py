@@ -23,16 +23,22 @@ _NOISE = 0.012
 """Standard deviation of tracked landmarks about the model, in eye distances."""
 _UNIQUE = 0.01
 """Standard deviation of each coordinate of a person's face that the modes do not explain, in eye distances."""
-_SPARSITY, _RIDGE, _MAX_ACTIVATION = 1.0, 0.5, 2.0
-"""Weights of the sum and of half the sum of squares of the activations in equation 4.1, and the largest activation."""
+_SPARSITY = 1.0
+"""Weight of the sum of the activations in equation 4.1."""
+_RIDGE = 0.5
+"""Weight of half the sum of their squares."""
+_MAX_ACTIVATION = 2.0
+"""Largest activation."""
 _INDEPENDENT = 12.0
 """Largest number of frames that count as independent. Neighbouring frames err alike, so more would outvote the
 prior."""
 _CALM = 0.1
 """Amount of expression, in eye distances over all landmarks, below which frames count alike."""
 _ROUNDS, _SWEEPS = 12, 25
-_DEPTH, _CONTOUR = 0.3, 0.3
-"""Weights of depths, which a camera hardly sees, and of the jaw line, whose points slide along it."""
+_DEPTH = 0.3
+"""Weight of depths, which a camera hardly sees."""
+_CONTOUR = 0.3
+"""Weight of the jaw line, whose points slide along it."""
 
 
 @dataclass(frozen=True)

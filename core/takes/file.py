@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import OutputError, SourceError
+from ..errors import DataError, Message, OutputError, SourceError
 from ..files.closing import Closing
 from ..files.reading import read_bytes
-from ..files.writing import replacing
+from ..files.writing import reason_of, replacing
 from ..media.capture import check_readable
 from ..tracking.result import TrackResult
 from .format import (
@@ -75,7 +75,9 @@ class TakeWriter(Closing):
             self._file = FileIO(self.path, "x")
         except OSError as error:
             raise OutputError(
-                f"Cannot write {path}: {(error.strerror or str(error)).lower()}. Choose another name or folder."
+                "Cannot write {path}: {reason}. Choose another name or folder.",
+                path=path,
+                reason=reason_of(error),
             ) from error
 
     def __len__(self) -> int:
@@ -146,10 +148,14 @@ class TakeWriter(Closing):
         except OSError as error:
             with contextlib.suppress(OSError):  # if this fails too, readers skip the incomplete chunk
                 self._file.truncate(self._end)
-            kept = f"The first {self._written} frames are safe" if self._written else "Nothing has been recorded yet"
+            kept = Message("Nothing has been recorded yet")
+            if self._written:
+                kept = Message("The first {count} frames are safe", count=self._written)
             raise OutputError(
-                f"Cannot write {self.path}: {(error.strerror or str(error)).lower()}. {kept}. Free some space, or "
-                "record to another disk."
+                "Cannot write {path}: {reason}. {kept}. Free some space, or record to another disk.",
+                path=self.path,
+                reason=reason_of(error),
+                kept=kept,
             ) from error
         self._end += len(data)
 
@@ -206,14 +212,18 @@ def load_take(path: Path) -> Take:
     """
     path = Path(path)
     if not check_readable(path):
-        raise SourceError(f"There is no take {path}. Create one: facemime track VIDEO -o {path.name}")
+        raise SourceError(
+            "There is no take {path}. Create one: facemime track VIDEO -o {name}", path=path, name=path.name
+        )
     try:
         return take_of(read_bytes(path, _MAX_FILE))
     except NewerFormatError as error:
-        raise SourceError(f"{path} was written by a newer Facemime. Update Facemime to open it.") from error
+        raise SourceError("{path} was written by a newer Facemime. Update Facemime to open it.", path=path) from error
     except (ValueError, OSError) as error:
         raise SourceError(
-            f"{path} is not a Facemime take, or is too damaged to be read ({error}). Track the video again."
+            "{path} is not a Facemime take, or is too damaged to be read ({error}). Track the video again.",
+            path=path,
+            error=error,
         ) from error
 
 
@@ -225,7 +235,9 @@ def take_of(data: bytes) -> Take:
             with contextlib.suppress(ValueError):  # valid checksum, invalid content: treat it as damage
                 reading.add(chunk)
             if reading.size > most:
-                raise ValueError(f"it unpacks to more than {most >> 20} MB, which no recording of its size does")
+                raise DataError(
+                    "it unpacks to more than {most} MB, which no recording of its size does", most=most >> 20
+                )
     return reading.take()
 
 
@@ -251,7 +263,9 @@ class _Reading:
             check_increase(self._until, float(part.times[0]))
             modes = part.shape_params.shape[1]
             if self._modes not in (-1, modes):
-                raise ValueError(f"frames with {modes} modes follow others with {self._modes}")
+                raise DataError(
+                    "frames with {modes} modes follow others with {earlier}", modes=modes, earlier=self._modes
+                )
             if missing := chunk.first - self._frames:
                 since = f"between {self._until:.2f} s and" if self._modes >= 0 else "before"
                 self._missing.append(f"{missing} frames {since} {part.times[0]:.2f} s")
@@ -265,7 +279,7 @@ class _Reading:
     def take(self) -> Take:
         """Return the take, with what is missing in its `info`; to be called once."""
         if self._modes < 0:
-            raise ValueError("no frame in it can be read")
+            raise DataError("no frame in it can be read")
         if self._stated < 0:
             self._missing.append(f"up to a second after {self._until:.2f} s")
         elif self._stated > self._frames:
@@ -275,5 +289,7 @@ class _Reading:
         # Array by array, so that at most one is in memory twice.
         take = Take(**{name: np.concatenate(self._parts.pop(name)) for name in FIELDS}, info=dict(self._info or {}))
         if self._missing:
-            take.info["recovered"] = f"The file was cut or damaged. Missing: {'; '.join(self._missing)}."
+            take.info["recovered"] = Message(
+                "The file was cut or damaged. Missing: {missing}.", missing="; ".join(self._missing)
+            )
         return take

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import DataError
 from ..files.reading import as_integer, as_list, as_object, parse_json, read_bytes
 from ..numeric.arrays import FloatArray
 
@@ -77,7 +78,7 @@ def gltf_of(path: Path) -> tuple[dict[str, Any], bytes]:
     if not data.startswith(b"glTF"):
         return as_object(parse_json(data), "the file"), b""
     if len(data) < 20:
-        raise ValueError("it is truncated")
+        raise DataError("it is truncated")
     (length,) = struct.unpack_from("<I", data, 12)
     content = as_object(parse_json(data[20 : 20 + length]), "the file")
     return content, data[28 + length :]
@@ -136,9 +137,9 @@ def _buffer(buffer: dict[str, Any], binary: bytes, folder: Path) -> bytes:
         try:
             return base64.b64decode(uri[found.end() :], validate=True)
         except binascii.Error as error:
-            raise ValueError("a buffer is damaged") from error
+            raise DataError("a buffer is damaged") from error
     if Path(uri).name != uri:
-        raise ValueError("a buffer is in another folder")
+        raise DataError("a buffer is in another folder")
     return read_bytes(folder / uri, MAX_GLTF)
 
 

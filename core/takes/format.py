@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DataError
 from ..face.actions import N_ACTIONS
 from ..face.coefficient_names import N_COEFFICIENTS
 from ..face.landmarks import N_LANDMARKS
@@ -140,7 +141,7 @@ def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
             continue
         patience -= cost
         if patience < 0:
-            raise ValueError("its chunks overlap")
+            raise DataError("its chunks overlap")
         at = _next_chunk(data, at + 1)
         yield Damage(end=at < 0)
 
@@ -197,7 +198,7 @@ def info_of(content: bytes) -> tuple[dict[str, Any], int]:
     """Parse the result of `info_content` without invalid entries; ValueError if it is anything else."""
     data = parse_json(content)
     if not isinstance(data, dict) or not isinstance(data.get("info"), dict) or not isinstance(data.get("frames"), int):
-        raise ValueError("its description is missing")
+        raise DataError("its description is missing")
     info = {key: value for key, value in data["info"].items() if key not in _CHECKS or _CHECKS[key](value)}
     return info, data["frames"]
 
@@ -319,10 +320,10 @@ def _unpack(deflated: bytes, count: int, fixed: int) -> NDArray[np.int32]:
     try:
         raw = stream.decompress(deflated, limit + 1)
     except zlib.error as error:
-        raise ValueError(f"its frames cannot be unpacked: {error}") from error
+        raise DataError("its frames cannot be unpacked: {error}", error=error) from error
     columns, rest = divmod(len(raw), 4 * count) if count else (0, 1)
     if rest or not fixed <= columns <= fixed + MAX_MODES or not stream.eof:
-        raise ValueError(f"{len(raw)} bytes are not {count} frames")
+        raise DataError("{raw} bytes are not {count} frames", raw=len(raw), count=count)
     folded = np.frombuffer(raw, np.uint8).reshape(4, -1).T.copy().view("<u4").reshape(columns, count)
     change = (folded >> 1).astype(np.int32) ^ -(folded & 1).astype(np.int32)
     return np.ascontiguousarray(np.cumsum(change, axis=1, dtype=np.int32).T)  # wraps as in `_pack`

@@ -7,6 +7,7 @@ from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 
+from ..errors import Message
 from ..media.capture import VideoSource
 from ..media.media_starts import last_image
 from ..tracking.result import TrackResult
@@ -17,6 +18,8 @@ from .take import Take, TakeRecorder, describe
 OnFrame = Callable[[int, int, TrackResult], bool | None]
 _COMPLETE = 0.9
 """Share of the stated frames, or of the stated duration, from which on a video is complete: headers are inexact."""
+VIDEO_CUT = "The video was cut or damaged. Missing: {missing}."
+"""Template of what is noted in a take whose video ends too soon."""
 
 
 def track_video(
@@ -87,7 +90,7 @@ def track_video(
             else:
                 if (lost := _lost_after(source, len(recorder), frame.time)) > 0.0:
                     missing = f"{lost:.2f} s after {frame.time:.2f} s"
-                    recorder.info["recovered"] = f"The video was cut or damaged. Missing: {missing}."
+                    recorder.info["recovered"] = Message(VIDEO_CUT, missing=missing)
         except KeyboardInterrupt:
             if len(recorder) == 0:
                 raise

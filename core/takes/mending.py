@@ -76,7 +76,7 @@ def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: 
         If `longest` is negative.
     """
     if not longest >= 0.0:
-        raise SourceError(f"The longest gap cannot be {longest} s. Use 0 or more.")
+        raise SourceError("The longest gap cannot be {longest} s. Use 0 or more.", longest=longest)
     seen = np.flatnonzero(take.found)
     if not len(seen):
         return take

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import Message, SourceError
 from ..face.actions import ACTION_MIRROR, N_ACTIONS
 from ..face.apertures import eye_apertures, mouth_aperture
 from ..face.landmarks import MIRROR, N_LANDMARKS
@@ -136,8 +136,9 @@ class Neutral:
     @property
     def warning(self) -> str:
         """Warning about this neutral face for the user; "" if there is none."""
-        warning = "The performer never rests in this take, so the neutral face was estimated. Check the motion."
-        return warning if self.is_estimated else ""
+        if not self.is_estimated:
+            return ""
+        return Message("The performer never rests in this take, so the neutral face was estimated. Check the motion.")
 
     @property
     def mouth_gain(self) -> float:
@@ -169,7 +170,7 @@ class Neutral:
         try:
             return cls.from_dict(as_object(parse_json(text), "it"))
         except ValueError as error:
-            raise SourceError(f"The stored calibration is damaged ({error}). Calibrate again.") from error
+            raise SourceError("The stored calibration is damaged ({error}). Calibrate again.", error=error) from error
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Neutral:
@@ -192,11 +193,11 @@ class Neutral:
             try:
                 value = np.array(data.get(name, _ADDED[name]) if name in _ADDED else data[name], dtype=np.float64)
             except (KeyError, TypeError, ValueError, OverflowError) as error:
-                raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.") from error
+                raise SourceError("The stored calibration is damaged ({name}). Calibrate again.", name=name) from error
             known = np.isfinite(value) | ((name in _OPTIONAL) & np.isnan(value))
             within = np.abs(np.nan_to_num(value)).max(initial=0.0) <= _MAX_VALUES.get(name, _MAX_VALUE)
             if value.shape != shapes.get(name, ()) or not known.all() or not within:
-                raise SourceError(f"The stored calibration is damaged ({name}). Calibrate again.")
+                raise SourceError("The stored calibration is damaged ({name}). Calibrate again.", name=name)
             values[name] = value if name in shapes else float(value)
         values |= {name: bool(values[name]) for name in ("measured", "asked")}
         neutral = cls(**values)
@@ -209,7 +210,7 @@ class Neutral:
             "shape": _is_face(neutral.shape),
         }
         if wrong := [name for name, is_sound in sound.items() if not is_sound]:
-            raise SourceError(f"The stored calibration is damaged ({wrong[0]}). Calibrate again.")
+            raise SourceError("The stored calibration is damaged ({name}). Calibrate again.", name=wrong[0])
         return neutral
 
 
@@ -267,7 +268,9 @@ def _average(take: Take, start: float, duration: float) -> Neutral:
     chosen = take.found & (take.times >= start - 1e-9) & (take.times <= start + duration)
     if not chosen.any():
         raise SourceError(
-            f"No face was found between {start:.2f} s and {start + duration:.2f} s. Choose another neutral."
+            "No face was found between {start:.2f} s and {end:.2f} s. Choose another neutral.",
+            start=start,
+            end=start + duration,
         )
     shapes = take.shape[chosen].astype(np.float64)
     # Use the half of the frames nearest to their median, so that the beginning or end of a smile or blink is left out.

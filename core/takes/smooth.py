@@ -30,8 +30,10 @@ CUTOFFS: dict[str, float] = {
     "actions": 6.0,
 }
 """Cutoffs in Hz by part, at which half of the amplitude passes."""
-_MIN_CUTOFF, _NO_CUTOFF = 1e-3, 1e5
-"""The lowest cutoff in Hz, and the one above which nothing is smoothed."""
+_MIN_CUTOFF = 1e-3
+"""The lowest cutoff in Hz."""
+_NO_CUTOFF = 1e5
+"""Cutoff in Hz above which nothing is smoothed."""
 _MAX_STEP = 0.25
 """Time between frames in seconds across which nothing is smoothed."""
 _MIN_STEP = 1e-3
@@ -98,7 +100,11 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
     for part, cutoff in chosen.items():
         if part not in CUTOFFS or not cutoff >= _MIN_CUTOFF:
             raise FacemimeError(
-                f"{part}={cutoff:g} is not a cutoff. Use {_MIN_CUTOFF:g} Hz or more for one of: {', '.join(CUTOFFS)}."
+                "{part}={cutoff:g} is not a cutoff. Use {min_cutoff:g} Hz or more for one of: {known}.",
+                part=part,
+                cutoff=cutoff,
+                min_cutoff=_MIN_CUTOFF,
+                known=", ".join(CUTOFFS),
             )
     shape, pose, gaze = take.shape.astype(np.float64), take.pose.copy(), take.gaze.astype(np.float64)
     for run in _runs(take.times, take.found):
@@ -106,6 +112,7 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
             flat = shape[run][:, rows].reshape(len(run), -1)
             shape[np.ix_(run, rows)] = low_pass(take.times[run], flat, chosen[part]).reshape(len(run), -1, 3)
         pose[run, 1:4] = low_pass(take.times[run], np.unwrap(pose[run, 1:4], axis=0), chosen["rotation"])
+        # The logarithm of the scale, as distances multiply; it also keeps the scale positive.
         place = np.column_stack([np.log(pose[run, 0]), pose[run, 4:6]])
         place = low_pass(take.times[run], place, chosen["place"])
         pose[run, 0], pose[run, 4:6] = np.exp(place[:, 0]), place[:, 1:]
@@ -216,6 +223,7 @@ def before_after(take: Take, mended: Take, part: str) -> Curves:
     known = np.isfinite(before).all(axis=1)
     if not known.any():
         return Curves(take.times, np.full(len(take), np.nan), mended.times, np.full(len(mended), np.nan))
+    # First principal component of the motion before mending, onto which both are projected.
     centre = before[known].mean(axis=0)
     most = linalg.svd(before[known] - centre, full_matrices=False)[2][0]
     return Curves(take.times, (before - centre) @ most, mended.times, (after - centre) @ most)

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import SourceError
+from ..errors import DataError, SourceError
 from ..face.actions import ACTIONS
 from ..face.apertures import eye_apertures, mouth_aperture
 from ..face.coefficient_names import COEFFICIENTS
@@ -96,12 +96,16 @@ def from_csv(path: Path) -> Take:
     """
     path = Path(path)
     if not check_readable(path):
-        raise SourceError(f"There is no table {path}. Create one: facemime export TAKE -o {path.name}")
+        raise SourceError(
+            "There is no table {path}. Create one: facemime export TAKE -o {name}", path=path, name=path.name
+        )
     try:
         take = _read(read_table(path, _KNOWN.__contains__, _NOTE))
         check_take(take)
     except (ValueError, OSError, csv.Error) as error:
-        raise SourceError(f"{path} cannot be read as a take: {error}. Compare it with an exported one.") from error
+        raise SourceError(
+            "{path} cannot be read as a take: {error}. Compare it with an exported one.", path=path, error=error
+        ) from error
     return take
 
 
@@ -110,10 +114,10 @@ def _read(table: TextTable) -> Take:
     place = {name: column for column, name in enumerate(table.head) if name}
     columns = _columns(sum(name.startswith("mode_") for name in place))
     if missing := [n for key in ("times", "pose", "shape") for n in columns[key] if n not in place]:
-        raise ValueError(f"it has no column {missing[0]!r}")
+        raise DataError("it has no column {column!r}", column=missing[0])
     cells = list(table.lines)
     if not cells:
-        raise ValueError("it has no rows")
+        raise DataError("it has no rows")
     arrays = {name: _values(cells, names, place) for name, names in columns.items()}
     complete = np.isfinite(np.concatenate([arrays["pose"], arrays["shape"]], axis=1)).all(axis=1)
     found = complete & (arrays["found"][:, 0] != 0.0 if "found" in place else True)
@@ -149,5 +153,10 @@ def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> 
             try:
                 values[row, column] = float(text) if text else np.nan
             except ValueError:
-                raise ValueError(f"row {row + 1} has {shown(text)} for {name}, which is not a number") from None
+                raise DataError(
+                    "row {number} has {text} for {name}, which is not a number",
+                    number=row + 1,
+                    text=shown(text),
+                    name=name,
+                ) from None
     return values

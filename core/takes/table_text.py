@@ -15,6 +15,8 @@ from io import StringIO
 from itertools import chain
 from pathlib import Path
 
+from ..errors import DataError
+
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -83,7 +85,7 @@ def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> Text
 def read_decoded(path: Path) -> str:
     """Read a text in any usual encoding; ValueError if it is too large or not text, OSError if it cannot be read."""
     if path.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"it is larger than {_MAX_BYTES >> 20:,} MB")
+        raise DataError("it is larger than {max_bytes:,} MB", max_bytes=_MAX_BYTES >> 20)
     return _decoded(path.read_bytes())
 
 

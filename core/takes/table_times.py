@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..errors import DataError, Message
 from ..files.reading import shown
 from ..numeric.arrays import FloatArray
 from .table_text import is_number
@@ -74,8 +75,7 @@ def _seconds(values: FloatArray, title: str) -> tuple[FloatArray, list[str]]:
     step = float(np.median(np.diff(values))) if len(values) > 1 else 0.0
     for unit, name in ((1e-9, "nanoseconds"), (1e-6, "microseconds"), (1e-3, "milliseconds")):
         if step * unit > _SLOWEST * 1e-3:
-            warning = f"Times were read as {name}."
-            return values * unit, [warning]
+            return values * unit, [Message("Times were read as {name}.", name=name)]
     return values, []
 
 
@@ -84,8 +84,7 @@ def _rate(row: Sequence[str], head: Sequence[str]) -> tuple[float, list[str]]:
     place = _column(head, _FRAME_RATE)
     if place is not None and is_number(text := _cell(row, place)) and 1.0 <= float(text) <= 1000.0:
         return float(text), []
-    warning = f"The table has no times. Its rate was taken to be {_RATE:g} frames per second."
-    return _RATE, [warning]
+    return _RATE, [Message("The table has no times. Its rate was taken to be {rate:g} frames per second.", rate=_RATE)]
 
 
 def _column(head: Sequence[str], pattern: re.Pattern[str]) -> int | None:
@@ -104,6 +103,11 @@ def _cell(row: Sequence[str], column: int) -> str:
 def _numbers(texts: Sequence[str], name: str) -> FloatArray:
     for number, text in enumerate(texts):
         if not is_number(text) or not abs(float(text)) < _LATEST:
-            raise ValueError(f"row {number + 1} has {shown(text)} for {name}, which is not a possible number")
+            raise DataError(
+                "row {number} has {text} for {name}, which is not a possible number",
+                number=number + 1,
+                text=shown(text),
+                name=name,
+            )
     values = np.array(texts, dtype=np.float64)
     return np.asarray(values - values[0])

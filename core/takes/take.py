@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SourceError
+from ..errors import DataError, SourceError
 from ..face.actions import N_ACTIONS
 from ..face.coefficient_names import N_COEFFICIENTS
 from ..face.landmarks import N_LANDMARKS
@@ -204,7 +204,7 @@ def check_increase(last: float, time: float) -> None:
         Time of the later frame in seconds.
     """
     if not last < time < np.inf:
-        raise ValueError(f"times must increase; got {time} after {last}")
+        raise DataError("times must increase; got {time} after {last}", time=time, last=last)
 
 
 def join(takes: Sequence[Take]) -> Take:
@@ -234,9 +234,9 @@ def check_take(take: Take) -> None:
     }
     for name, expected in shapes.items():
         if (shape := getattr(take, name).shape) != expected:
-            raise ValueError(f"{name} has the shape {shape}, not {expected}")
+            raise DataError("{name} has the shape {shape}, not {expected}", name=name, shape=shape, expected=expected)
     if count == 0 or not np.isfinite(take.times).all() or not (np.diff(take.times) > 0).all():
-        raise ValueError("its times do not increase")
+        raise DataError("its times do not increase")
     found = take.found.astype(bool)
     if not np.isfinite(take.shape[found]).all() or not np.isfinite(take.pose[found]).all():
-        raise ValueError("frames marked as found contain no numbers")
+        raise DataError("frames marked as found contain no numbers")

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DataError
 from ..files.reading import shown
 from ..numeric.arrays import FloatArray
 
@@ -60,7 +61,7 @@ def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
     if parts.ndim == 2 and parts.shape[1] == 2 and "." in clocks[0]:
         parts = np.column_stack([np.zeros(len(parts)), parts])
     if parts.ndim != 2 or parts.shape[1] not in (3, 4) or not ((parts >= 0.0) & (parts < 1000.0)).all():
-        raise ValueError(f"{shown(texts[0])} is not a timecode such as 10:20:30:12.500")
+        raise DataError("{texts} is not a timecode such as 10:20:30:12.500", texts=shown(texts[0]))
     times = parts[:, :3] @ np.array([3600.0, 60.0, 1.0])
     days = _DAY * np.cumsum(np.diff(times, prepend=times[0]) < -_DAY / 2.0)
     if parts.shape[1] == 3:

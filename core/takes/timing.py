@@ -160,15 +160,23 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
         If the rate or the number of frames is out of range, or the take ends before `start`.
     """
     if not 0.1 <= fps <= 10_000.0:
-        raise SourceError(f"The rate cannot be {fps} frames per second. Use one between 0.1 and 10000.")
+        raise SourceError("The rate cannot be {fps} frames per second. Use one between 0.1 and 10000.", fps=fps)
     start = float(take.times[0]) if start is None else start
     count = int(np.floor((take.times[-1] - start) * fps + 1e-6)) + 1
     if count < 1:
-        raise SourceError(f"The take ends at {take.times[-1]:.2f} s, before {start:.2f} s. Choose an earlier start.")
+        raise SourceError(
+            "The take ends at {last:.2f} s, before {start:.2f} s. Choose an earlier start.",
+            last=take.times[-1],
+            start=start,
+        )
     if count > _MAX_FRAMES:
         raise SourceError(
-            f"There are {count:,} frames from {start:.2f} s to {take.times[-1]:.2f} s, more than {_MAX_FRAMES:,}. "
-            "Use a lower rate, or check that the times of the take are in seconds."
+            "There are {count:,} frames from {start:.2f} s to {last:.2f} s, more than {max_frames:,}. "
+            "Use a lower rate, or check that the times of the take are in seconds.",
+            count=count,
+            start=start,
+            last=take.times[-1],
+            max_frames=_MAX_FRAMES,
         )
     even = sample(take, start + np.arange(count) / fps)
     return replace(even, info={**take.info, "fps": float(fps)})
@@ -195,7 +203,7 @@ def shift_time(take: Take, seconds: float) -> Take:
         If times could not be distinguished after the shift.
     """
     if not (np.isfinite(seconds) and (np.diff(take.times + seconds) > 0.0).all()):
-        raise SourceError(f"The take cannot be shifted by {seconds} s. Use fewer seconds.")
+        raise SourceError("The take cannot be shifted by {seconds} s. Use fewer seconds.", seconds=seconds)
     return replace(take, times=take.times + seconds)
 
 
@@ -229,8 +237,11 @@ def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
     inside = (take.times >= start - 1e-9) & (take.times <= end + 1e-9)
     if not inside.any():
         raise SourceError(
-            f"There is no frame between {start:g} s and {end:g} s. Use times from {take.times[0]:.2f} s "
-            f"to {take.times[-1]:.2f} s."
+            "There is no frame between {start:g} s and {end:g} s. Use times from {first:.2f} s to {last:.2f} s.",
+            start=start,
+            end=end,
+            first=take.times[0],
+            last=take.times[-1],
         )
     return take.part(inside)
 
@@ -260,7 +271,7 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
         If `insert` has no frame in the span, or `blend` is negative.
     """
     if not blend >= 0.0:
-        raise SourceError(f"The blend cannot last {blend} s. Use 0 or more.")
+        raise SourceError("The blend cannot last {blend} s. Use 0 or more.", blend=blend)
     inserted = trim(insert, start, end)
     if (
         take.info.get("model") != insert.info.get("model")

@@ -181,7 +181,8 @@ class CascadeDetector:
         cascades = [cv2.CascadeClassifier(str(folder / f"{name}.xml")) for name in DETECTORS]
         if any(c.empty() for c in cascades):
             raise ModelError(
-                f"OpenCV's face cascades are missing from {folder}. Install opencv-contrib-python-headless."
+                "OpenCV's face cascades are missing from {folder}. Install opencv-contrib-python-headless.",
+                folder=folder,
             )
         return cascades
 

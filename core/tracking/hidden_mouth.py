@@ -54,6 +54,7 @@ class HiddenMouth:
         seen = seen_lips(certainty)
         if seen >= _KNOWN:
             self._lips = shape[LIPS]
+        # From 0 where the lips are just seen to 1 where they are hidden, so that nothing jumps.
         share = min((_SEEN - seen) / (_SEEN - _HIDDEN), 1.0)
         if share <= 0.0 or self._lips is None:
             return shape

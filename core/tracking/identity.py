@@ -192,6 +192,7 @@ class PerformerIdentity:
         pose : (6,) float64
             Pose in the image frame.
         """
+        # Place before looks: a bystander who turns away looks different, but does not jump.
         there = [other for other in self._bystanders if other.continues(pose, self.frame)]
         alike = [other for other in self._bystanders if float(other.descriptor @ descriptor) > _SAME_BYSTANDER]
         if there or alike:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ModelError, OutputError
+from ..errors import DataError, Message, ModelError, OutputError
 from ..face.actions import N_ACTIONS
 from ..face.landmarks import N_LANDMARKS, outer_eye_distance
 from ..files.archives import MAX_BYTES, Archive, read_archive
@@ -41,7 +41,7 @@ _MAX_MODES = 512
 """Largest number of modes, as many as a take can hold."""
 _MAX_PARTS = 16
 """Largest number of parts."""
-_ADVICE = "Reinstall Facemime, or rebuild the model with `make model`."
+_ADVICE = Message("Reinstall Facemime, or rebuild the model with `make model`.")
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,11 @@ def _pack_patches(patches: tuple[PatchExperts, PatchExperts]) -> dict[str, NDArr
 def _unpack_patches(name: str, archive: Archive) -> PatchExperts:
     (scale,) = archive.floats("patch_scale", ()).reshape(1).tolist()
     if not 1.0 <= scale <= _MAX_SIDE:
-        raise ValueError(f"patch_scale is not within 1 to {_MAX_SIDE}")
+        raise DataError("patch_scale is not within 1 to {max_side}", max_side=_MAX_SIDE)
     step = archive.floats(f"{name}_step", (N_LANDMARKS, None), np.float32)
     units = step.shape[1]
     if float(np.abs(step).max(initial=0.0)) > _MAX_WEIGHT:
-        raise ValueError(f"{name}_step is above {_MAX_WEIGHT:g}")
+        raise DataError("{name}_step is above {max_weight:g}", name=name, max_weight=_MAX_WEIGHT)
     hidden = archive.floats(f"{name}_hidden", (N_LANDMARKS, PATCH * PATCH, units), np.float32) * step[:, None]
     hidden -= hidden.mean(axis=1, keepdims=True)
     bias, output, output_bias = (
@@ -142,7 +142,7 @@ def _unpack_patches(name: str, archive: Archive) -> PatchExperts:
         )
     )
     if any(float(np.abs(values).max(initial=0.0)) > _MAX_WEIGHT for values in (hidden, bias, output, output_bias)):
-        raise ValueError(f"{name} has a weight above {_MAX_WEIGHT:g}")
+        raise DataError("{name} has a weight above {max_weight:g}", name=name, max_weight=_MAX_WEIGHT)
     return PatchExperts(scale, hidden, bias, output, output_bias)
 
 
@@ -192,7 +192,9 @@ def save_model(model: TrackerModel, path: Path) -> str:
         unfinished.replace(path)
     except OSError as error:
         raise OutputError(
-            f"The model cannot be written to {path}: {error.strerror}. Choose another location."
+            "The model cannot be written to {path}: {reason}. Choose another location.",
+            path=path,
+            reason=error.strerror,
         ) from error
     return digest.hex()[:12]
 
@@ -209,31 +211,43 @@ def load_model(path: Path) -> TrackerModel:
     try:
         return _assemble(read_archive(payload), digest.hex()[:12])
     except ValueError as error:
-        raise ModelError(f"The tracker model {path} is damaged ({error}). {_ADVICE}") from error
+        raise ModelError(
+            "The tracker model {path} is damaged ({error}). {advice}", path=path, error=error, advice=_ADVICE
+        ) from error
 
 
 def _checked_payload(path: Path) -> tuple[bytes, bytes]:
     try:
         content = read_bytes(path, MAX_BYTES)
     except ValueError as error:
-        raise ModelError(f"The tracker model {path} is damaged: {error}. {_ADVICE}") from error
+        raise ModelError(
+            "The tracker model {path} is damaged: {error}. {advice}", path=path, error=error, advice=_ADVICE
+        ) from error
     except OSError as error:
-        raise ModelError(f"The tracker model {path} cannot be read: {error.strerror}. {_ADVICE}") from error
+        raise ModelError(
+            "The tracker model {path} cannot be read: {reason}. {advice}",
+            path=path,
+            reason=error.strerror,
+            advice=_ADVICE,
+        ) from error
     if content[: len(MAGIC)] != MAGIC:
-        raise ModelError(f"{path} is not a Facemime tracker model. {_ADVICE}")
+        raise ModelError("{path} is not a Facemime tracker model. {advice}", path=path, advice=_ADVICE)
     if len(content) < _HEADER.size:
-        raise ModelError(f"The tracker model {path} is truncated. {_ADVICE}")
+        raise ModelError("The tracker model {path} is truncated. {advice}", path=path, advice=_ADVICE)
     _, version, length, digest = _HEADER.unpack_from(content)
     if version != FORMAT_VERSION:
         raise ModelError(
-            f"The tracker model {path} has format {version}; this Facemime reads {FORMAT_VERSION}. "
-            "Update Facemime, or use the model that came with it."
+            "The tracker model {path} has format {version}; this Facemime reads {format_version}. "
+            "Update Facemime, or use the model that came with it.",
+            path=path,
+            version=version,
+            format_version=FORMAT_VERSION,
         )
     payload = content[_HEADER.size :]
     if len(payload) < length:
-        raise ModelError(f"The tracker model {path} is truncated. {_ADVICE}")
+        raise ModelError("The tracker model {path} is truncated. {advice}", path=path, advice=_ADVICE)
     if len(payload) > length or hashlib.sha256(payload).digest() != digest:
-        raise ModelError(f"The tracker model {path} is damaged. {_ADVICE}")
+        raise ModelError("The tracker model {path} is damaged. {advice}", path=path, advice=_ADVICE)
     return payload, digest
 
 
@@ -241,10 +255,10 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
     face, glance = (_face(i, archive) for i in range(2))
     visibility = archive.floats("visibility", (2, N_LANDMARKS))
     if visibility.min() < 0.0 or visibility.max() > 1.0:
-        raise ValueError("visibility is not within 0 to 1")
+        raise DataError("visibility is not within 0 to 1")
     box_offset = archive.floats("box_offset", (len(DETECTORS), 3))
     if not (box_offset[:, 2] > 0.0).all():
-        raise ValueError("box_offset has a scale that is not positive")
+        raise DataError("box_offset has a scale that is not positive")
     return TrackerModel(
         pdm=_pdm(archive),
         face=face,
@@ -265,7 +279,7 @@ def _places(name: str, archive: Archive, *more: int | None) -> FloatArray:
     """Read positions or displacements (66, 3, ...) in the head frame."""
     places = archive.floats(name, (N_LANDMARKS, 3, *more))
     if np.abs(places).max(initial=0.0) > _MAX_COORDINATE:
-        raise ValueError(f"{name} is outside any head")
+        raise DataError("{name} is outside any head", name=name)
     return places
 
 
@@ -273,16 +287,16 @@ def _pdm(archive: Archive) -> PointDistributionModel:
     mean, basis = _places("mean_shape", archive), _places("basis", archive, None)
     eigenvalues = archive.floats("eigenvalues", (basis.shape[2],))
     if not 1 <= len(eigenvalues) <= _MAX_MODES or not (eigenvalues > 0.0).all():
-        raise ValueError(f"eigenvalues are not 1 to {_MAX_MODES} positive numbers")
+        raise DataError("eigenvalues are not 1 to {max_modes} positive numbers", max_modes=_MAX_MODES)
     if not 0.5 < outer_eye_distance(mean) < 2.0:
-        raise ValueError("mean_shape is not in outer-eye distances")
+        raise DataError("mean_shape is not in outer-eye distances")
     return PointDistributionModel(mean, basis, eigenvalues)
 
 
 def _scales(name: str, count: int | None, archive: Archive) -> list[float]:
     scales = archive.floats(name, (count,))
     if not ((scales >= 1.0) & (scales <= _MAX_SIDE)).all():
-        raise ValueError(f"{name} is not within 1 to {_MAX_SIDE}")
+        raise DataError("{name} is not within 1 to {max_side}", name=name, max_side=_MAX_SIDE)
     return [float(scale) for scale in scales]
 
 
@@ -290,7 +304,7 @@ def _face(place: int, archive: Archive) -> FaceExperts:
     size = int(archive.integers("face_sizes", (2,), 16, _MAX_SIDE)[place])
     network = Network(archive.data(f"face_{place}_network"), "maps", "face")
     if size % 16:
-        raise ValueError(f"face_sizes has {size}, which is not a multiple of 16")
+        raise DataError("face_sizes has {size}, which is not a multiple of 16", size=size)
     cells = size // FACE_STRIDE
     network.check((size, size), (1, N_LANDMARKS, cells, cells), (1, 1, cells // 4, cells // 4))
     return FaceExperts(network, _scales("face_scales", 2, archive)[place], size)
@@ -308,7 +322,9 @@ def _parts(archive: Archive) -> tuple[PartExperts, ...]:
         landmarks, _, (width, height), _ = seen
         network = Network(archive.data(f"part_{i}_network"), "maps")
         if not 1 <= len(landmarks) == len(set(landmarks.tolist())) or width % 8 or height % 8:
-            raise ValueError(f"part {i} has no landmarks, or one twice, or its size is not a multiple of 8")
+            raise DataError(
+                "part {number} has no landmarks, or one twice, or its size is not a multiple of 8", number=i
+            )
         network.check((width, height), (1, len(landmarks), height // PART_STRIDE, width // PART_STRIDE))
         parts.append(PartExperts(network, *seen))
     return tuple(parts)
@@ -321,7 +337,7 @@ def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
         actions = archive.integers(f"action_{i}_actions", (None,), 0, N_ACTIONS - 1)
         network = Network(archive.data(f"action_{i}_network"), "actions")
         if not len(landmarks) or not len(actions):
-            raise ValueError(f"part {i} has no landmarks or no actions")
+            raise DataError("part {number} has no landmarks or no actions", number=i)
         network.check(size, (1, len(actions)))
         parts.append(ActionExperts(network, *seen, actions))
     return tuple(parts)
@@ -331,7 +347,12 @@ def _seen_parts(kind: str, archive: Archive) -> Iterator[tuple[IntArray, float, 
     """Yield landmarks, scale, size and pairing of each `FacePart` of a kind."""
     scales = _scales(f"{kind}_scales", None, archive)
     if not 1 <= len(scales) <= _MAX_PARTS:
-        raise ValueError(f"{kind}_scales has {len(scales)} parts, not 1 to {_MAX_PARTS}")
+        raise DataError(
+            "{kind}_scales has {scales} parts, not 1 to {max_parts}",
+            kind=kind,
+            scales=len(scales),
+            max_parts=_MAX_PARTS,
+        )
     sizes = archive.integers(f"{kind}_sizes", (len(scales), 2), 8, _MAX_SIDE)
     paired = archive.flags(f"{kind}_paired", (len(scales),)).tolist()
     for i, (width, height) in enumerate(sizes.tolist()):

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..errors import DataError, Message
 from ..numeric.opencv import network_error, read_network
 
 
@@ -31,7 +32,7 @@ class Network:
             self._net.setInput(images[:, None])
             return tuple(np.asarray(out, np.float32) for out in self._net.forward(self._outputs))
         except cv2.error as error:
-            raise network_error("run") from error
+            raise network_error(Message("run")) from error
 
     def check(self, size: tuple[int, int], *shapes: tuple[int, ...]) -> None:
         """Check the shapes of the outputs.
@@ -51,6 +52,9 @@ class Network:
         outputs = self(np.zeros((1, *size[::-1]), np.float32))
         for name, output, shape in zip(self._outputs, outputs, shapes, strict=True):
             if output.shape != shape or not np.isfinite(output).all():
-                raise ValueError(
-                    f"output {name} of a network has the shape {output.shape}, not {shape}, or is not finite"
+                raise DataError(
+                    "output {name} of a network has the shape {shape}, not {expected}, or is not finite",
+                    name=name,
+                    shape=output.shape,
+                    expected=shape,
                 )

@@ -91,6 +91,7 @@ class OneEuroFilter:
         if self._seen is None or self._value is None or self._velocity is None:
             self._velocity, self._value = np.zeros_like(seen), seen
         elif time > self._time:
+            # Speed, itself smoothed, then the cutoff that it allows: the two lines of the equation above.
             step = time - self._time
             towards = _share(self.cutoffs.speed, step)
             self._velocity = self._velocity + towards * ((seen - self._seen) / step - self._velocity)

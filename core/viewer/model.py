@@ -159,8 +159,10 @@ def _skin_of_keys(driver: KeyDriver) -> dict[str, NDArray[np.generic]]:
     rest, offsets = driver.head.rest, driver.keys.offsets
     if len(offsets) > MAX_AMOUNTS:
         raise HeadError(
-            f"The head is driven by {len(offsets)} shape keys; the viewer supports at most {MAX_AMOUNTS}. "
-            "Use a key mapping with fewer keys."
+            "The head is driven by {offsets} shape keys; the viewer supports at most {max_amounts}. "
+            "Use a key mapping with fewer keys.",
+            offsets=len(offsets),
+            max_amounts=MAX_AMOUNTS,
         )
     modes = np.zeros((len(rest), len(offsets), 4), dtype=np.float16)
     for number, motion in enumerate(offsets.values()):

@@ -128,5 +128,5 @@ def _read(path: Path) -> bytes:
         return read_bytes(path, _MAX_BYTES)
     except (OSError, ValueError) as error:
         raise ModelError(
-            f"The viewer's page is incomplete: {path} cannot be read. Reinstall Facemime, or run make viewer."
+            "The viewer's page is incomplete: {path} cannot be read. Reinstall Facemime, or run make viewer.", path=path
         ) from error

@@ -8,7 +8,7 @@ from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
 from ..drive.driver import HeadDriver, HeadFrame
-from ..errors import OutputError, SourceError
+from ..errors import Message, OutputError
 from ..heads.appearance import Appearance
 from ..live.key_driver import KeyDriver
 from ..streams.transport.background import Connecting
@@ -92,14 +92,19 @@ class RelaySender(Connecting):
                 self.message = self._scene.message
                 self._feed(connection, reader)
         except NatsError as error:
-            self.message = str(
-                SourceError(f"The relay {url} refused: {error}. Run: nats-server --config {self._site.configuration}")
+            self.message = Message(
+                "The relay {url} refused: {error}. Run: nats-server --config {configuration}",
+                url=url,
+                error=error,
+                configuration=self._site.configuration,
             )
         except OutputError as error:
             self.message = str(error)
         except (OSError, WebSocketException, ValueError):
-            self.message = str(
-                SourceError(f"The relay {url} does not answer. Run: nats-server --config {self._site.configuration}")
+            self.message = Message(
+                "The relay {url} does not answer. Run: nats-server --config {configuration}",
+                url=url,
+                configuration=self._site.configuration,
             )
 
     def _greet(self, connection: ClientConnection, reader: NatsReader) -> None:

@@ -87,7 +87,7 @@ class Relay:
         known = parts.scheme in _PORTS and bool(parts.hostname) and port != 0
         if not known or parts.username or parts.query or parts.fragment or not re.fullmatch(r"[!-~]+", self.url):
             raise SourceError(
-                f"{self.url!r} is not the address of a relay. Use ws://HOST:PORT, or wss://HOST:PORT for HTTPS."
+                "{url!r} is not the address of a relay. Use ws://HOST:PORT, or wss://HOST:PORT for HTTPS.", url=self.url
             )
         if (self.certificate is None) != (self.key is None):
             raise SourceError("A relay needs a certificate with its private key. Give both, or neither.")
@@ -161,7 +161,9 @@ class Site:
             write_secret(self.configuration, relay.configuration(self.password, watch).encode(), replace=True)
         except OSError as error:
             raise OutputError(
-                f"The site cannot be written to {folder} ({error.strerror}). Choose another folder."
+                "The site cannot be written to {folder} ({reason}). Choose another folder.",
+                folder=folder,
+                reason=error.strerror,
             ) from error
         self.public = folder / _PUBLIC
         self.page = self.public / watch
@@ -201,9 +203,11 @@ def _secrets(path: Path) -> tuple[str, str]:
         stored = json.loads(read_bytes(path, _MAX_SECRETS))
         found = str(stored["send"]), str(stored["watch"])
     except (ValueError, KeyError, TypeError) as error:
-        raise SourceError(f"The secrets in {path} cannot be read ({error}). Delete the folder.") from error
+        raise SourceError(
+            "The secrets in {path} cannot be read ({error}). Delete the folder.", path=path, error=error
+        ) from error
     if not all(map(_TOKEN.fullmatch, found)):
-        raise SourceError(f"The secrets in {path} are not valid. Delete the folder.")
+        raise SourceError("The secrets in {path} are not valid. Delete the folder.", path=path)
     return found
 
 

@@ -70,12 +70,16 @@ class ViewerSettings:
             return server_context(self.certificate, self.key)
         except FileNotFoundError as error:
             raise SourceError(
-                f"There is no certificate {self.certificate}, or no key {self.key}. Check the paths."
+                "There is no certificate {certificate}, or no key {key}. Check the paths.",
+                certificate=self.certificate,
+                key=self.key,
             ) from error
         except (OSError, ValueError) as error:
             raise SourceError(
-                f"The certificate {self.certificate} and its key cannot be used ({error}). "
-                "Choose the PEM files that belong together; the key must have no password."
+                "The certificate {certificate} and its key cannot be used ({error}). "
+                "Choose the PEM files that belong together; the key must have no password.",
+                certificate=self.certificate,
+                error=error,
             ) from error
 
     def allows(self, host: str) -> bool:
@@ -128,9 +132,15 @@ def kept_token(path: Path) -> str:
     except FileNotFoundError:
         return _written_token(path)
     except (OSError, ValueError) as error:
-        raise SourceError(f"The token {path} cannot be read ({error}). Choose another file.") from error
+        raise SourceError(
+            "The token {path} cannot be read ({error}). Choose another file.", path=path, error=error
+        ) from error
     if len(text) < _MIN_TOKEN or not text.replace("-", "").replace("_", "").isalnum():
-        raise SourceError(f"{path} has no token of at least {_MIN_TOKEN} letters and digits. Choose another file.")
+        raise SourceError(
+            "{path} has no token of at least {min_token} letters and digits. Choose another file.",
+            path=path,
+            min_token=_MIN_TOKEN,
+        )
     return text
 
 
@@ -150,7 +160,9 @@ def _written_token(path: Path) -> str:
     try:
         write_secret(path, token.encode() + b"\n")
     except OSError as error:
-        raise OutputError(f"The token {path} cannot be written ({error.strerror}). Choose another location.") from error
+        raise OutputError(
+            "The token {path} cannot be written ({reason}). Choose another location.", path=path, reason=error.strerror
+        ) from error
     return token
 
 

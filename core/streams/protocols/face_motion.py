@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ...errors import messages
 from ...face.coefficient_names import column_of
 from ...files.reading import parse_json
 from .frames import FaceValues, PacketError, StreamFrame, no_coefficients
@@ -78,15 +79,17 @@ _REPAIRED = 6.5
 """Seconds without a frame after which these requests end."""
 _OVER = 12.0
 """Seconds without a frame after which the session has ended."""
-REFUSALS = {
-    "BUSY": "The phone is sending to another program. Stop that first.",
-    "NOT_ALLOWED": "The app is not allowed to send: its trial has ended, or it was not purchased.",
-    "PC_CONNECTION_DISABLED": "The app refuses connections from computers. Allow them in its settings.",
-    "V3_NOT_AVAILABLE": "The app is not on its tracking screen. Open it on the phone.",
-    "APP_INACTIVE": "The app is not on its tracking screen. Open it on the phone.",
-    "CAMERA_UNAVAILABLE": "The app cannot use the camera of the phone.",
-    "": "The app on the phone refuses to send.",
-}
+REFUSALS = messages(
+    {
+        "BUSY": "The phone is sending to another program. Stop that first.",
+        "NOT_ALLOWED": "The app is not allowed to send: its trial has ended, or it was not purchased.",
+        "PC_CONNECTION_DISABLED": "The app refuses connections from computers. Allow them in its settings.",
+        "V3_NOT_AVAILABLE": "The app is not on its tracking screen. Open it on the phone.",
+        "APP_INACTIVE": "The app is not on its tracking screen. Open it on the phone.",
+        "CAMERA_UNAVAILABLE": "The app cannot use the camera of the phone.",
+        "": "The app on the phone refuses to send.",
+    }
+)
 """Messages for the words by which an app refuses; the last one is for all other words."""
 
 

@@ -23,8 +23,10 @@ MAX_DATAGRAM = 16_384
 """Largest size of a datagram in bytes, far more than any of the protocols sends."""
 MAX_SUBJECT = 64
 """Largest number of characters in the name of a face."""
-_MAX_ANGLE, _MAX_MOVED = 7.0, 100.0
-"""Largest angle in radians and distance in metres of a pose."""
+_MAX_ANGLE = 7.0
+"""Largest angle of a pose in radians."""
+_MAX_MOVED = 100.0
+"""Largest distance of a pose in metres."""
 
 
 class PacketError(ValueError):

@@ -27,8 +27,10 @@ _BYTES = _FACE.size + 4 * (68 + 2 * 68 + 3 * 70 + 14)
 _MAX_FACES = 4
 _UNIT = 0.63181
 """Distance between the outer eye corners of OpenSeeFace's own face, to whose width it scales all faces."""
-_PIXELS, _UNITS = 1e5, 100.0
-"""Largest coordinates in an image, and of points on a face."""
+_PIXELS = 1e5
+"""Largest coordinates in an image."""
+_UNITS = 100.0
+"""Largest coordinates of points on a face."""
 _MIN_SCALE = 1e-3
 PLACES: NDArray[np.intp] = np.concatenate([np.arange(48), from_ibug([*range(49, 54), *range(55, 60)]), MOUTH_CORNERS])
 """(60,) Facemime's landmarks at OpenSeeFace's numbers `NUMBERS`."""

@@ -6,7 +6,7 @@ import errno
 import ipaddress
 import socket
 
-from ...errors import OutputError, SourceError
+from ...errors import Message, OutputError, SourceError
 
 LOOPBACK = "127.0.0.1"
 EVERYWHERE = "0.0.0.0"
@@ -49,7 +49,9 @@ def parse_address(text: str, port: int = 0) -> tuple[str, int]:
         host, number = text.strip(), str(port)
     host = host.removeprefix("[").removesuffix("]") or LOOPBACK
     if not number.isdecimal() or not 0 <= int(number[:6]) <= 65535 or any(c.isspace() or c in "/@" for c in host):
-        raise SourceError(f"{text!r} is not an address. Use HOST:PORT, as in 192.168.1.7:{port or 21573}.")
+        raise SourceError(
+            "{text!r} is not an address. Use HOST:PORT, as in 192.168.1.7:{port}.", text=text, port=port or 21573
+        )
     return host, int(number)
 
 
@@ -71,7 +73,9 @@ def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
     except (OSError, UnicodeError) as error:
-        raise SourceError(f"The computer {host!r} was not found on the network. Check the address.") from error
+        raise SourceError(
+            "The computer {host!r} was not found on the network. Check the address.", host=host
+        ) from error
     return family, (str(address[0]), int(address[1]))
 
 
@@ -102,28 +106,40 @@ def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
     """
     if error.errno == errno.EADDRNOTAVAIL:
         return SourceError(
-            f"{host} is not an address of this computer. Enter one that it has, or {EVERYWHERE} for all of them."
+            "{host} is not an address of this computer. Enter one that it has, or {everywhere} for all of them.",
+            host=host,
+            everywhere=EVERYWHERE,
         )
     if error.errno in (errno.EACCES, errno.EPERM) and port < _UNPRIVILEGED:
         return SourceError(
-            f"This computer does not let programs listen on port {port}. Choose one of {_UNPRIVILEGED} or above."
+            "This computer does not let programs listen on port {port}. Choose one of {unprivileged} or above.",
+            port=port,
+            unprivileged=_UNPRIVILEGED,
         )
     return SourceError(
-        f"Cannot listen on {host}:{port} ({error.strerror or error}). "
-        "Close the program that uses the port, or choose another port."
+        "Cannot listen on {host}:{port} ({reason}). Close the program that uses the port, or choose another port.",
+        host=host,
+        port=port,
+        reason=error.strerror or error,
     )
 
 
 def nobody_receives(host: str, port: int) -> str:
     """Return the message for a port that nothing listens on."""
-    return f"No program receives at {bracketed(host)}:{port}. Start it there, or check the address and the port."
+    return Message(
+        "No program receives at {host}:{port}. Start it there, or check the address and the port.",
+        host=bracketed(host),
+        port=port,
+    )
 
 
 def cannot_send(host: str, port: int, error: OSError) -> OutputError:
     """Return the error for an address that cannot be sent to."""
     return OutputError(
-        f"Cannot send to {bracketed(host)}:{port} ({error.strerror or error}). "
-        "Check the address and the program that receives there."
+        "Cannot send to {host}:{port} ({reason}). Check the address and the program that receives there.",
+        host=bracketed(host),
+        port=port,
+        reason=error.strerror or error,
     )
 
 

@@ -85,10 +85,14 @@ def load_identity(folder: Path) -> TlsIdentity:
         token = bytes.fromhex(read_bytes(folder / _TOKEN, _MOST).decode("ascii").strip())
     except (OSError, ValueError) as error:
         raise SourceError(
-            f"The certificate in {folder} cannot be used ({error}). Delete the folder, and pair again."
+            "The certificate in {folder} cannot be used ({error}). Delete the folder, and pair again.",
+            folder=folder,
+            error=error,
         ) from error
     if len(token) != TOKEN_BYTES:
-        raise SourceError(f"The token in {folder} is too short or too long. Delete the folder, and pair again.")
+        raise SourceError(
+            "The token in {folder} is too short or too long. Delete the folder, and pair again.", folder=folder
+        )
     return TlsIdentity(context, fingerprint_of(certificate), token)
 
 
@@ -115,7 +119,9 @@ def _write_identity(folder: Path) -> None:
             write_secret(folder / name, content, replace=True)
     except OSError as error:
         raise OutputError(
-            f"The certificate cannot be written to {folder} ({error.strerror}). Make the folder writable."
+            "The certificate cannot be written to {folder} ({reason}). Make the folder writable.",
+            folder=folder,
+            reason=error.strerror,
         ) from error
 
 

@@ -13,7 +13,7 @@ import secrets
 import ssl
 from pathlib import Path
 
-from ...errors import OutputError, SourceError
+from ...errors import DataError, OutputError, SourceError
 from ...files.reading import read_bytes
 from ...files.writing import write_secret
 
@@ -41,11 +41,15 @@ def read_key(path: Path) -> bytes:
     try:
         text = read_bytes(Path(path), _MAX_KEY).strip()
     except FileNotFoundError as error:
-        raise SourceError(f"There is no key {path}. Make one: facemime receive --new-key {path}") from error
+        raise SourceError("There is no key {path}. Make one: facemime receive --new-key {path}", path=path) from error
     except (OSError, ValueError) as error:
-        raise SourceError(f"The key {path} cannot be read ({error}). Choose a file of one line.") from error
+        raise SourceError(
+            "The key {path} cannot be read ({error}). Choose a file of one line.", path=path, error=error
+        ) from error
     if len(text) < _MIN_KEY:
-        raise SourceError(f"The key {path} has fewer than {_MIN_KEY} characters. Make a longer one.")
+        raise SourceError(
+            "The key {path} has fewer than {min_key} characters. Make a longer one.", path=path, min_key=_MIN_KEY
+        )
     return hashlib.sha256(b"facemime stream key\n" + text).digest()
 
 
@@ -54,9 +58,13 @@ def write_key(path: Path) -> None:
     try:
         write_secret(path, secrets.token_hex(32).encode() + b"\n")
     except FileExistsError as error:
-        raise OutputError(f"{path} already exists, and keys are never replaced. Choose another name.") from error
+        raise OutputError(
+            "{path} already exists, and keys are never replaced. Choose another name.", path=path
+        ) from error
     except OSError as error:
-        raise OutputError(f"The key {path} cannot be written ({error.strerror}). Choose another location.") from error
+        raise OutputError(
+            "The key {path} cannot be written ({reason}). Choose another location.", path=path, reason=error.strerror
+        ) from error
 
 
 def server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
@@ -80,7 +88,7 @@ def server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
 
 
 def _no_password() -> str:
-    raise ValueError("the key has a password")
+    raise DataError("the key has a password")
 
 
 def sign(key: bytes, *parts: bytes) -> bytes:
