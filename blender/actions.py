@@ -14,8 +14,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.bake.clean import needed_keys
-from ..core.errors import HeadError
+from ..core.bake.reduction import needed_keys
+from ..core.base.errors import HeadError
 from .fcurves import (
     TRACK,
     curves_in,

@@ -17,7 +17,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import bpy
 
-from ..core.errors import HeadError
+from ..core.base.errors import HeadError
 
 
 def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManager[object]:

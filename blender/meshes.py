@@ -10,10 +10,10 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import from_json, to_json
-from ..core.errors import HeadError
-from ..core.face.landmarks import N_LANDMARKS
+from ..core.base.errors import HeadError
+from ..core.base.landmarks import N_LANDMARKS
+from ..core.drive.greedy import GreedySelection
+from ..core.drive.select import from_json, to_json
 from .frames import flat_in_blender, from_blender
 from .names import (
     BAKED_KEY_PREFIX,

@@ -15,8 +15,8 @@ from functools import lru_cache
 import bpy
 from bpy.app.translations import pgettext_iface, pgettext_rpt, pgettext_tip
 
-from ..core.errors import Message
-from ..core.files.assets import ASSETS
+from ..core.base.assets import ASSETS
+from ..core.base.errors import Message
 
 FOLDER = ASSETS / "translations"
 CONTEXT = "Facemime"

@@ -1,7 +1,7 @@
 """Names under which the data of a head is stored in a .blend file; changing one breaks the files of users."""
 
 LANDMARKS_PROPERTY = "facemime_landmarks"
-"""Custom property of the mesh: 66 vertex indices, in the order of `core.face.landmarks`."""
+"""Custom property of the mesh: 66 vertex indices, in the order of `core.base.landmarks`."""
 
 KEYS_PROPERTY = "facemime_keys"
 """Custom property of a mesh that its shape keys drive, without landmarks: 66 vertices near which they would lie."""
@@ -13,7 +13,7 @@ MARKS_PROPERTY = "facemime_marks"
 """Custom property of the mesh: pairs of iBUG number and vertex that the user marked before binding."""
 
 SELECTION_PROPERTY = "facemime_control_points"
-"""Custom property of the mesh: the selected control points, as `core.control_points.select.to_json` writes them."""
+"""Custom property of the mesh: the selected control points, as `core.drive.select.to_json` writes them."""
 
 LIVE_PROPERTY = "facemime_live"
 """Custom property of the mesh during a live session: 1, or 2 if it had no shape keys before."""
@@ -31,7 +31,7 @@ PARTS_PROPERTY = "facemime_parts"
 """Custom property of a head: its child objects, by a key of `PART_OBJECTS`."""
 
 PART_ATTRIBUTE = "facemime_part"
-"""Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.parts.Part`."""
+"""Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.rig.Part`."""
 
 HEAD_PROPERTY = "facemime_head"
 """Custom property of another mesh of a face: the head to which it belongs."""

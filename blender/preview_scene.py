@@ -10,8 +10,8 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ..core.face.landmarks import outer_eye_distance
-from ..core.face.rotation import fit_rotation
+from ..core.base.landmarks import outer_eye_distance
+from ..core.base.rotation import fit_rotation
 from ..core.heads.built_in import load_head
 from .characters import objects_of
 from .frames import to_blender

@@ -9,8 +9,8 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ..core.errors import SourceError
-from ..core.media.capture import VideoSource
+from ..core.base.capture import VideoSource
+from ..core.base.errors import SourceError
 from .actions import Curve, write_curves
 from .names import TAKE_PROPERTY
 from .timeline import rate_of

@@ -15,10 +15,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.errors import OutputError, SourceError
-from ..core.files.locks import temporary_folder
-from ..core.files.writing import replacing
-from ..core.media.capture import VideoSource, require_utf8_name
+from ..core.base.capture import VideoSource, require_utf8_name
+from ..core.base.errors import OutputError, SourceError
+from ..core.base.locks import temporary_folder
+from ..core.base.writing import replacing
 from .contexts import showing_scene
 from .preview_scene import set_shading
 from .reference import strips_of

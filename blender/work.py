@@ -6,7 +6,7 @@ from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
-from ..core.errors import FacemimeError
+from ..core.base.errors import FacemimeError
 
 Result = TypeVar("Result")
 

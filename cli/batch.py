@@ -9,10 +9,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from ..core.errors import FacemimeError, SourceError
-from ..core.files.locks import lock_of, sweep
-from ..core.files.writing import check_writable, locked
-from ..core.media.capture import VideoSource
+from ..core.base.capture import VideoSource
+from ..core.base.errors import FacemimeError, SourceError
+from ..core.base.locks import lock_of, sweep
+from ..core.base.writing import check_writable, locked
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take

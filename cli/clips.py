@@ -20,11 +20,11 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import SourceError
-from ..core.files.assets import version
-from ..core.files.reading import as_integer, as_list, as_number, as_object, parse_json, read_text, shown
-from ..core.files.writing import reason_of, replacing
-from ..core.media.capture import check_readable, require_utf8_name
+from ..core.base.assets import version
+from ..core.base.capture import check_readable, require_utf8_name
+from ..core.base.errors import SourceError
+from ..core.base.reading import as_integer, as_list, as_number, as_object, parse_json, read_text, shown
+from ..core.base.writing import reason_of, replacing
 from ..core.puppet.job import PuppetJob
 from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker

@@ -8,7 +8,7 @@ import time
 import unicodedata
 from typing import TextIO
 
-from ..core.errors import OutputError
+from ..core.base.errors import OutputError
 
 _MARKS = "--mark 36=VERTEX or --mark 36=X,Y,Z, in Blender's coordinates"
 

@@ -14,7 +14,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from ..core.errors import SourceError
+from ..core.base.errors import SourceError
 from .stopping import LEASH, STOPPING
 
 _MARK = "FACEMIME_GUARD"

@@ -12,8 +12,8 @@ import os
 import sys
 from collections.abc import Sequence
 
-from ..core.errors import FacemimeError
-from ..core.files.assets import version
+from ..core.base.assets import version
+from ..core.base.errors import FacemimeError
 from ..core.puppet.job import HeadFile
 from . import batch, bind, landmarks, live, receive, select, takes
 from . import puppet as puppeting

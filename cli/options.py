@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, TypeVar, get_type_hints
 
 from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
+from ..core.base.errors import FacemimeError, SourceError
+from ..core.base.reading import shown
+from ..core.base.setting import Setting, changed, settings_of
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
-from ..core.errors import FacemimeError, SourceError
-from ..core.files.reading import shown
-from ..core.files.setting import Setting, changed, settings_of
-from ..core.puppet.built_in_presets import COMMAND_NAMES, built_in_path, read_preset
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile, PuppetJob
+from ..core.puppet.presets import COMMAND_NAMES, built_in_path, read_preset
 from ..core.puppet.puppet_settings import PuppetSettings
-from ..core.tracking.choice import LEFTMOST, RIGHTMOST
+from ..core.tracking.identity import LEFTMOST, RIGHTMOST
 from ..core.tracking.tracking_settings import TrackingSettings
 from .console import printable, say, write_error
 

@@ -12,9 +12,9 @@ from typing import Any
 
 import cv2
 
-from ..core.errors import SourceError
-from ..core.files.writing import replacing
-from ..core.media.images import read_image
+from ..core.base.capture import read_image
+from ..core.base.errors import SourceError
+from ..core.base.writing import replacing
 
 _SHEET_WIDTH = 480
 """Width of a contact sheet in pixels."""

@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
-from ..core.errors import FacemimeError
+from ..core.base.errors import FacemimeError
 from .guard import own_command
 from .stopping import LEASH
 

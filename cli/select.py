@@ -6,13 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import parse_landmarks, select_control_points, to_json
-from ..core.control_points.selection_settings import SelectionSettings
+from ..core.base.landmarks import IBUG68_INDICES
+from ..core.base.setting import settings_of
+from ..core.base.writing import replacing
 from ..core.drive.drive_settings import DriveSettings
-from ..core.face.landmarks import IBUG68_INDICES
-from ..core.files.setting import settings_of
-from ..core.files.writing import replacing
+from ..core.drive.greedy import GreedySelection
+from ..core.drive.select import parse_landmarks, select_control_points, to_json
+from ..core.drive.selection_settings import SelectionSettings
 from ..core.heads.regions import REGIONS
 from ..core.heads.rig import HeadRig, built_in_head
 from ..core.puppet.job import HeadFile

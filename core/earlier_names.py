@@ -11,62 +11,100 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 _CORE = __name__.rpartition(".")[0]
-_MOVED = {
-    "actions": "face.actions",
-    "apertures": "face.apertures",
-    "archives": "files.archives",
-    "arrays": "numeric.arrays",
-    "assets": "files.assets",
-    "bake.settings": "bake.bake_settings",
-    "capture": "media.capture",
-    "closing": "files.closing",
-    "coefficient_names": "face.coefficient_names",
-    "control_points.settings": "control_points.selection_settings",
-    "drive.expression_keys": "keys.expression_keys",
-    "drive.key_quality": "keys.key_quality",
-    "drive.key_sets": "keys.key_sets",
-    "drive.keyed_face": "keys.keyed_face",
-    "drive.settings": "drive.drive_settings",
-    "images": "media.images",
-    "landmarks": "face.landmarks",
-    "linalg": "numeric.linalg",
-    "locks": "files.locks",
-    "media_starts": "media.media_starts",
-    "onnx": "numeric.onnx",
-    "opencv": "numeric.opencv",
-    "picture_size": "media.picture_size",
-    "presets": "files.preset_files",
-    "puppet.presets": "puppet.built_in_presets",
-    "puppet.settings": "puppet.puppet_settings",
-    "reading": "files.reading",
-    "rotation": "face.rotation",
-    "settings": "files.setting",
-    "streams.addresses": "streams.transport.addresses",
-    "streams.background": "streams.transport.background",
-    "streams.datagram": "streams.transport.datagram",
-    "streams.face_cap": "streams.protocols.face_cap",
-    "streams.face_motion": "streams.protocols.face_motion",
-    "streams.frames": "streams.protocols.frames",
-    "streams.identity": "streams.transport.identity",
-    "streams.ifacialmocap": "streams.protocols.ifacialmocap",
-    "streams.live_link": "streams.protocols.live_link",
-    "streams.openseeface": "streams.protocols.openseeface",
-    "streams.osc": "streams.protocols.osc",
-    "streams.pairing": "streams.transport.pairing",
-    "streams.security": "streams.transport.security",
-    "streams.sessions": "streams.transport.sessions",
-    "streams.settings": "streams.stream_settings",
-    "streams.tls_server": "streams.transport.tls_server",
-    "streams.vmc": "streams.protocols.vmc",
-    "streams.vrcfacetracking": "streams.protocols.vrcfacetracking",
-    "streams.vtube_studio": "streams.protocols.vtube_studio",
-    "takes.settings": "takes.mending_settings",
-    "timecode": "takes.timecodes",
-    "tracking.settings": "tracking.tracking_settings",
-    "version": "files.assets",
-    "viewer.settings": "viewer.viewer_settings",
+_PACKAGES = {
+    "binding": "heads",
+    "control_points": "drive",
+    "deform": "drive",
+    "live": "puppet",
+    "mesh": "heads",
+    "recordings": "takes",
 }
-"""Names below `core`: earlier ones, and those of today."""
+"""Names of packages below `core`: earlier ones, and those that have their modules today."""
+_MODULES = {
+    "bake.arkit": "bake.observation",
+    "bake.bake_settings": "bake.settings",
+    "bake.coefficients": "bake.coefficient_model",
+    "bake.expression_keys": "bake.refine drive.expression_keys",
+    "bake.key_quality": "drive.key_quality drive.keyed_face",
+    "bake.key_sets": "drive.key_sets",
+    "bake.reduction": "bake.basis bake.clean",
+    "base.archives": "archives",
+    "base.arrays": "arrays",
+    "base.assets": "assets version",
+    "base.capture": "capture images",
+    "base.closing": "closing",
+    "base.errors": "errors",
+    "base.landmarks": "apertures landmarks",
+    "base.least_squares": "bake.least_squares",
+    "base.linalg": "linalg",
+    "base.locks": "locks",
+    "base.media_headers": "media_starts picture_size",
+    "base.names": "actions bake.key_names coefficient_names",
+    "base.opencv": "onnx opencv",
+    "base.reading": "reading",
+    "base.rotation": "rotation",
+    "base.setting": "settings",
+    "base.writing": "files",
+    "drive.actions": "deform.action_modes",
+    "drive.covariance": "deform.follow deform.skin",
+    "drive.drive_settings": "drive.settings",
+    "drive.parts": "deform.glue",
+    "drive.posing": "drive.eyes drive.jaw",
+    "drive.retarget": "drive.anonymous",
+    "drive.selection_settings": "control_points.settings",
+    "heads.bind": "binding.head",
+    "heads.built_in": "heads.looks",
+    "heads.character_files": "heads.vrm takes.file_rate",
+    "heads.checks": "binding.rest",
+    "heads.eyeballs": "heads.eye_outline",
+    "heads.fit_template": "binding.fit",
+    "heads.kernels": "mesh.warp",
+    "heads.key_map": "bake.key_map",
+    "heads.part_names": "heads.bones",
+    "heads.portrait": "binding.eye_contours",
+    "heads.regions": "heads.region_edit",
+    "heads.rig": "heads.parts",
+    "heads.slits": "heads.lips",
+    "heads.surface": "mesh.nearest mesh.pieces",
+    "heads.template": "binding.align",
+    "heads.triangles": "mesh.intersections mesh.raster",
+    "puppet.head_drivers": "live.key_driver",
+    "puppet.performer": "live.calibration",
+    "puppet.presets": "presets",
+    "puppet.puppet_settings": "puppet.settings",
+    "streams.addresses": "streams.pairing",
+    "streams.datagram": "streams.sessions",
+    "streams.diagnosis": "streams.incoming",
+    "streams.phone": "streams.phone_link",
+    "streams.playout": "streams.timeline",
+    "streams.security": "streams.identity",
+    "streams.stream_settings": "streams.settings",
+    "streams.vertices": "streams.vertex_decoder",
+    "takes.curves": "takes.coefficient_take",
+    "takes.measured": "takes.from_animation takes.from_coefficients",
+    "takes.mending": "takes.figure",
+    "takes.mending_settings": "takes.settings",
+    "takes.recordings": "recordings.other_programs recordings.reading recordings.unity_clip",
+    "takes.table_angles": "takes.live_link_angles",
+    "takes.table_times": "takes.timecodes timecode",
+    "takes.timing": "takes.between",
+    "tracking.identity": "tracking.choice",
+    "tracking.network": "tracking.check tracking.network_detector",
+    "tracking.patch_experts": "tracking.action_experts",
+    "tracking.result": "tracking.hidden_mouth tracking.mirror",
+    "tracking.tracking_settings": "tracking.settings",
+    "viewer.messages": "viewer.nats",
+    "viewer.model": "viewer.scene",
+    "viewer.viewer_settings": "viewer.qr viewer.settings",
+}
+"""Names of modules below `core`: those of today, and the earlier ones of each, besides those with another package."""
+_MOVED = {earlier: today for today, names in _MODULES.items() for earlier in names.split()} | _PACKAGES
+
+
+def _today(name: str) -> str:
+    """Return the name of today of a module below `core` or a package, given an earlier one; "" for any other name."""
+    package, _, module = name.partition(".")
+    return _MOVED.get(name) or (f"{_PACKAGES[package]}.{module}" if package in _PACKAGES else "")
 
 
 class EarlierNames(MetaPathFinder, Loader):
@@ -79,11 +117,11 @@ class EarlierNames(MetaPathFinder, Loader):
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the specification of a module that has another name now."""
-        return ModuleSpec(fullname, self) if fullname.removeprefix(f"{_CORE}.") in _MOVED else None
+        return ModuleSpec(fullname, self) if _today(fullname.removeprefix(f"{_CORE}.")) else None
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """Import the module of today."""
-        today = f"{_CORE}.{_MOVED[spec.name.removeprefix(f'{_CORE}.')]}"
+        today = f"{_CORE}.{_today(spec.name.removeprefix(f'{_CORE}.'))}"
         warnings.warn(f"{spec.name} is now {today}", DeprecationWarning, stacklevel=2)
         module = import_module(today)
         self._specs[today] = module.__spec__
@@ -96,4 +134,5 @@ class EarlierNames(MetaPathFinder, Loader):
 
 def install() -> None:
     """Let programs import modules under their earlier names."""
-    sys.meta_path.append(EarlierNames())
+    # First, as a package that has taken in another would otherwise load that one's modules a second time.
+    sys.meta_path.insert(0, EarlierNames())

@@ -10,11 +10,11 @@ from ..blender.meshes import is_head, mesh_of, read_selection, write_selection
 from ..blender.rigs import read_rig
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw, viewport_under
-from ..core.control_points.select import parse_landmarks, select_control_points
-from ..core.control_points.selection_settings import SelectionSettings
-from ..core.control_points.table import add_by_hand, drop_by_hand
-from ..core.errors import HeadError
-from ..core.face.landmarks import N_LANDMARKS
+from ..core.base.errors import HeadError
+from ..core.base.landmarks import N_LANDMARKS
+from ..core.drive.select import parse_landmarks, select_control_points
+from ..core.drive.selection_settings import SelectionSettings
+from ..core.drive.table import add_by_hand, drop_by_hand
 from ..core.takes.file import load_take
 from ..core.takes.neutral import Neutral, calibrate
 from ..core.takes.take import Take

@@ -8,7 +8,7 @@ from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import CONTEXT
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw, viewport_under
-from ..core.errors import FacemimeError
+from ..core.base.errors import FacemimeError
 from ..sessions.live import TICK, LiveSession
 from ..sessions.start import RigWatch, follow_settings, start_session
 from ..settings.panel_properties import keep_problem

@@ -8,7 +8,7 @@ from ..blender.animation.puppet import check_heads, puppet_heads
 from ..blender.meshes import object_of
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw
-from ..core.errors import FacemimeError
+from ..core.base.errors import FacemimeError
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession

@@ -12,8 +12,8 @@ from ..blender.heads.family import character_in, heads_of, is_character
 from ..blender.meshes import can_be_driven, is_head, object_of
 from ..blender.messages import displayable
 from ..blender.stubs import OperatorMixin, OperatorResult, ReportLevel
-from ..core.errors import FacemimeError, SourceError
-from ..core.media.capture import check_readable, require_utf8_name
+from ..core.base.capture import check_readable, require_utf8_name
+from ..core.base.errors import FacemimeError, SourceError
 from ..sessions.session import Session
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from time import perf_counter
 from typing import Any
 
-from ..core.errors import HeadError
-from ..core.live.worker import LiveWorker
+from ..core.base.errors import HeadError
+from ..core.puppet.worker import LiveWorker
 from ..core.takes.neutral import Neutral
 from ..settings.preferences import preferences
 

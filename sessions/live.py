@@ -17,15 +17,15 @@ from ..blender.animation.live import LiveHeadObject, require_one_left
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.contexts import push_undo
 from ..blender.messages import show_error
+from ..core.base.errors import FacemimeError, OutputError
 from ..core.drive.driver import HeadFrame
-from ..core.errors import FacemimeError, OutputError
 from ..core.heads.appearance import Appearance
-from ..core.live.head_drivers import LiveHead
-from ..core.live.outputs import Output
-from ..core.live.sources import LiveSource
-from ..core.live.timing import Delays, Stopwatch
-from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
-from ..core.streams.transport.addresses import LOOPBACK
+from ..core.puppet.head_drivers import LiveHead
+from ..core.puppet.outputs import Output
+from ..core.puppet.sources import LiveSource
+from ..core.puppet.timing import Delays, Stopwatch
+from ..core.puppet.worker import LiveOptions, LiveResult, LiveWorker
+from ..core.streams.addresses import LOOPBACK
 from ..core.streams.vertices import VertexSender
 from ..core.takes.neutral import Neutral
 from ..core.viewer.viewer_settings import new_token

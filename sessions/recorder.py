@@ -12,8 +12,8 @@ import numpy as np
 from ..blender.contexts import in_a_window, push_undo
 from ..blender.messages import show_error
 from ..blender.timeline import frames_of
-from ..core.errors import FacemimeError
-from ..core.live.worker import LiveWorker
+from ..core.base.errors import FacemimeError
+from ..core.puppet.worker import LiveWorker
 from ..core.takes.file import load_take
 from ..core.takes.timing import punch_in, shift_time
 from ..settings import takes_store

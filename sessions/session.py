@@ -16,7 +16,7 @@ from ..blender.animation.conflicts import overruled, unseen
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.registering import watch
-from ..core.errors import HeadError
+from ..core.base.errors import HeadError
 
 _INTERVAL = 0.02
 

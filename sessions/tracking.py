@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-from ..core.errors import FacemimeError
+from ..core.base.errors import FacemimeError
 from ..core.takes.from_video import track_video
 from ..core.takes.take import Take
 from ..core.tracking.result import TrackResult

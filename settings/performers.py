@@ -11,7 +11,7 @@ from uuid import uuid4
 
 import bpy
 
-from ..core.errors import FacemimeError
+from ..core.base.errors import FacemimeError
 from ..core.takes.neutral import Neutral
 from .properties import FacemimePerformer
 

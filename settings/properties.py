@@ -16,18 +16,18 @@ from bpy.props import (
 
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.puppet.puppet_settings import PuppetSettings
+from ..core.streams.addresses import EVERYWHERE, LOOPBACK
+from ..core.streams.addresses import PORT as PAIRING_PORT
+from ..core.streams.security import load_identity
 from ..core.streams.sender import SENT
 from ..core.streams.stream_settings import PROTOCOLS, SendSettings, StreamSettings
-from ..core.streams.transport.addresses import EVERYWHERE, LOOPBACK
-from ..core.streams.transport.identity import load_identity
-from ..core.streams.transport.pairing import PORT as PAIRING_PORT
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import PORT
 from .rna import with_settings
 from .storage import private_folder
 
 if TYPE_CHECKING:
-    from ..core.streams.transport.tls_server import TlsSender
+    from ..core.streams.tls_server import TlsSender
 
 
 _ITEMS = {name: (name, of.label, of.description, of.number) for name, of in PROTOCOLS.items()}
@@ -184,7 +184,7 @@ def open_paired_sender(output: FacemimeOutput) -> "TlsSender":
     OutputError
         If the certificate cannot be written.
     """
-    from ..core.streams.transport.tls_server import TlsSender  # only now, as its libraries take a moment
+    from ..core.streams.tls_server import TlsSender  # only now, as its libraries take a moment
 
     identity = load_identity(pairing_folder())
     return TlsSender(listening_host(output), output.port or PAIRING_PORT, identity.context, identity.token)

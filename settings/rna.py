@@ -1,4 +1,4 @@
-"""Blender properties for the settings that `core/files/setting.py` defines, and conversion back."""
+"""Blender properties for the settings that `core/base/setting.py` defines, and conversion back."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
 
-from ..core.files.setting import Choice, Setting, settings_of
+from ..core.base.setting import Choice, Setting, settings_of
 
 Group = TypeVar("Group")
 Owner = TypeVar("Owner", bound=type)

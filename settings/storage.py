@@ -24,9 +24,9 @@ from typing import Any
 import bpy
 
 from ..blender.messages import show_error
-from ..core.errors import OutputError
-from ..core.files.reading import as_object, as_text, parse_format, read_text
-from ..core.files.writing import reason_of, replacing
+from ..core.base.errors import OutputError
+from ..core.base.reading import as_object, as_text, parse_format, read_text
+from ..core.base.writing import reason_of, replacing
 from .preferences import EXTENSION, preferences
 
 TAKES, CACHES, PRESETS = "takes", "caches", "presets"

@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from ..blender.viewports import redraw
-from ..core.errors import FacemimeError, SourceError
+from ..core.base.errors import FacemimeError, SourceError
 from ..core.takes.file import SUFFIX, load_take, save_take, take_of
 from ..core.takes.format import NewerFormatError
 from ..core.takes.take import Take

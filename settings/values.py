@@ -15,21 +15,20 @@ from ..blender.animation.scene_range import start_frame
 from ..blender.animation.targets import PoseTarget, own_targets
 from ..blender.timeline import keyed_frame
 from ..core.bake.bake_settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
+from ..core.base.assets import ASSETS
+from ..core.base.capture import is_address
+from ..core.base.errors import SourceError
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
-from ..core.errors import SourceError
-from ..core.files.assets import ASSETS
-from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
-from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
-from ..core.media.capture import is_address
+from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.puppet.puppet_settings import PuppetSettings
+from ..core.puppet.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
+from ..core.streams.addresses import LOOPBACK, is_loopback, parse_pairing
 from ..core.streams.sender import VTUBE_STUDIO, StreamSender
 from ..core.streams.source import StreamSource
 from ..core.streams.stream_settings import OWN, PROTOCOLS, SendSettings, StreamSettings
-from ..core.streams.transport.addresses import LOOPBACK, is_loopback
-from ..core.streams.transport.pairing import parse_pairing
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
-from ..core.tracking.choice import LEFTMOST, RIGHTMOST
+from ..core.tracking.identity import LEFTMOST, RIGHTMOST
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import ViewerSettings
 from .preferences import preferences
@@ -48,7 +47,7 @@ from .storage import private_folder, project_folder
 from .takes_properties import FacemimeBake, read_table
 
 if TYPE_CHECKING:
-    from ..core.streams.transport.tls_server import TlsSender
+    from ..core.streams.tls_server import TlsSender
     from ..core.streams.vtube_studio_api import VTubeStudioSender
 
 _DEFAULT_BAKE = BakeSettings()

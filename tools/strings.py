@@ -245,10 +245,10 @@ def made_messages(path: Path) -> Iterator[str]:
 
 @cache
 def _made() -> set[str]:
-    """Return the names of the classes of errors, which are made like messages: those of core/errors.py, and others
+    """Return the names of the classes of errors, which are made like messages: those of core/base/errors.py, and others
     that are derived from them.
     """
-    names = {node.name for node in _nodes(ROOT / "core" / "errors.py") if isinstance(node, ast.ClassDef)}
+    names = {node.name for node in _nodes(ROOT / "core" / "base" / "errors.py") if isinstance(node, ast.ClassDef)}
     classes = [node for path in message_sources() for node in _nodes(path) if isinstance(node, ast.ClassDef)]
     while more := {node.name for node in classes if names & set(map(_name, node.bases))} - names:
         names |= more

@@ -11,11 +11,11 @@ from ..blender.meshes import is_head, mesh_of, read_selection
 from ..blender.messages import CONTEXT, translated
 from ..blender.messages import interface as _
 from ..blender.names import SELECTION_PROPERTY
-from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import from_json
-from ..core.control_points.table import PointRow, draw_curve, point_rows
-from ..core.errors import FacemimeError
-from ..core.face.landmarks import IBUG68_INDICES
+from ..core.base.errors import FacemimeError
+from ..core.base.landmarks import IBUG68_INDICES
+from ..core.drive.greedy import GreedySelection
+from ..core.drive.select import from_json
+from ..core.drive.table import PointRow, draw_curve, point_rows
 from ..core.heads.regions import REGIONS
 from ..operators.shared import required_subject, subject
 from ..settings.panel_properties import FacemimeLandmark, FacemimeSteps

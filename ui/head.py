@@ -9,7 +9,7 @@ from ..blender.meshes import can_be_driven, driven_by_keys, is_head, mesh_of
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..blender.names import HEAD_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
-from ..core.heads.parts import PART_NAMES, Part
+from ..core.heads.rig import PART_NAMES, Part
 from ..operators.parts import BONES
 from ..operators.shared import subject
 from .sidebar import OnHead, Sidebar, draw_findings, labels, place, side_by_side

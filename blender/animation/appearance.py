@@ -11,7 +11,7 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.files.reading import read_bytes
+from ...core.base.reading import read_bytes
 from ...core.heads.appearance import Appearance, AttachedPart, Material, Patch
 from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender

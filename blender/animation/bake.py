@@ -12,10 +12,10 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
+from ...core.base.arrays import FloatArray
+from ...core.base.errors import HeadError, SourceError
 from ...core.drive.actions import TONGUE
 from ...core.drive.motion import HeadMotion
-from ...core.errors import HeadError, SourceError
-from ...core.numeric.arrays import FloatArray
 from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
 from ..characters import members_of, own_rotation

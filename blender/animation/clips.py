@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import bpy
 import numpy as np
 
-from ...core.errors import HeadError
+from ...core.base.errors import HeadError
 from ..meshes import mesh_of
 
 _JOINT = "|"

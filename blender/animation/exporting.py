@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.point_cache import in_between, write_point_cache
+from ...core.base.errors import HeadError, OutputError
+from ...core.base.writing import replacing
 from ...core.drive.motion import HeadMotion
-from ...core.errors import HeadError, OutputError
-from ...core.files.writing import replacing
 from ..characters import Member, objects_of
 from ..frames import to_blender
 from ..heads.binding import CACHES

@@ -10,8 +10,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.base.errors import HeadError
 from ...core.drive.driver import HeadFrame
-from ...core.errors import HeadError
 from ..characters import Member, members_of
 from ..contexts import scene_of
 from ..fcurves import make_actions_own

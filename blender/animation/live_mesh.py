@@ -13,7 +13,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import HeadError
+from ...core.base.errors import HeadError
 from ..actions import baked_paths
 from ..characters import Member
 from ..frames import flat_in_blender

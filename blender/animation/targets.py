@@ -16,11 +16,10 @@ import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
-from ...core.drive.eyes import eye_strength
-from ...core.drive.posing import limit_rotation
-from ...core.errors import HeadError
-from ...core.face.landmarks import EYE_CORNERS
-from ...core.numeric.arrays import IntArray
+from ...core.base.arrays import IntArray
+from ...core.base.errors import HeadError
+from ...core.base.landmarks import EYE_CORNERS
+from ...core.drive.posing import eye_strength, limit_rotation
 from ..actions import Curve
 from ..characters import (
     objects_of,

@@ -11,15 +11,15 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.binding.bind import Binding, bind_landmarks
-from ...core.binding.eye_contours import lids_seen
-from ...core.errors import HeadError
-from ...core.face.landmarks import from_ibug
+from ...core.base.arrays import FloatArray, IntArray
+from ...core.base.errors import HeadError
+from ...core.base.landmarks import from_ibug
+from ...core.heads.bind import Binding, bind_landmarks
 from ...core.heads.checks import Finding, check_head
-from ...core.heads.eye_outline import EYES
-from ...core.heads.parts import Part, Skin
+from ...core.heads.eyeballs import EYES
+from ...core.heads.portrait import lids_seen
 from ...core.heads.proposal import propose_regions
-from ...core.numeric.arrays import FloatArray, IntArray
+from ...core.heads.rig import Part, Skin
 from ..characters import part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (

@@ -11,9 +11,9 @@ import bpy
 import numpy as np
 from mathutils import Vector
 
-from ...core.face.landmarks import N_LANDMARKS
-from ...core.heads.parts import Skin
-from ...core.numeric.arrays import FloatArray, IntArray
+from ...core.base.arrays import FloatArray, IntArray
+from ...core.base.landmarks import N_LANDMARKS
+from ...core.heads.rig import Skin
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 
 _TAG = "facemime_line"

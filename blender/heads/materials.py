@@ -10,8 +10,8 @@ from collections.abc import Callable
 
 import bpy
 
-from ...core.errors import ModelError
-from ...core.files.assets import ASSETS
+from ...core.base.assets import ASSETS
+from ...core.base.errors import ModelError
 from ..names import UV_MAP
 
 _TEXTURES = ASSETS / "head"

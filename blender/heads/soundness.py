@@ -8,8 +8,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import HeadError
-from ...core.numeric.arrays import FloatArray
+from ...core.base.arrays import FloatArray
+from ...core.base.errors import HeadError
 from ..frames import to_blender
 from ..meshes import keys_of, mesh_of, read_faces, read_vertices
 from .family import family_of

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from ..files.setting import Choice, setting
-from .key_map import KeyMap
+from ..base.setting import Choice, setting
+from ..heads.key_map import KeyMap
 
 AUTOMATIC = "automatic"
 FIRST_FRAME, CURRENT_FRAME, SCENE_START = "first", "current", "scene"

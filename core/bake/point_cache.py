@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import DataError
-from ..files.writing import replacing
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.errors import DataError
+from ..base.writing import replacing
 
 SUFFIX = ".pc2"
 _HEADER = struct.Struct("<12siiffi")

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 from math import pi
 from typing import Literal
 
-from ..deform.head_deformer import INFORMED
-from ..files.setting import Choice, setting
+from ..base.setting import Choice, setting
+from .head_deformer import INFORMED
 
 Mode = Literal["3d", "planar"]
 Borders = Literal["soft", "sharp"]

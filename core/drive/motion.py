@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SourceError
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.errors import SourceError
 from ..takes.take import Take
 from .driver import HeadDriver
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ModelError
-from ..files.assets import ASSETS
-from ..files.reading import read_bytes
-from ..numeric.arrays import FloatArray, IntArray
+from ..base.arrays import FloatArray, IntArray
+from ..base.assets import ASSETS
+from ..base.errors import ModelError
+from ..base.reading import read_bytes
 from .built_in import HeadPart, load_head
 
 _MAX_IMAGE = 32_000_000

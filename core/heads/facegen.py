@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, Message, SourceError
-from ..files.reading import read_bytes, shown
+from ..base.errors import DataError, Message, SourceError
+from ..base.reading import read_bytes, shown
 
 _TO_HEAD = np.array([1.0, -1.0, -1.0], dtype=np.float32)
 _MAX_COUNT = 50_000_000

@@ -13,13 +13,12 @@ from itertools import permutations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import HeadError
-from ..mesh.surface import JOINED, SurfaceGraph
-from ..numeric import linalg
-from ..numeric.arrays import FloatArray, IntArray
-from .eye_outline import EYES, EyeOutline, eye_outline
-from .eyeballs import LID_THICKNESS
-from .lips import nearest_at_shares
+from ..base import linalg
+from ..base.arrays import FloatArray, IntArray
+from ..base.errors import HeadError
+from .eyeballs import EYES, LID_THICKNESS, EyeOutline, eye_outline
+from .slits import nearest_at_shares
+from .surface import JOINED, SurfaceGraph
 
 _MARGIN = 0.1
 """Margin, in eye widths, at the corners of the part of the mesh in which paths from lid to lid are sought. Outside of

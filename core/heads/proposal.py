@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import (
+from ..base.arrays import FloatArray, IntArray
+from ..base.landmarks import (
     BROWS,
     EYE_CORNERS,
     EYE_LEFT,
@@ -28,9 +29,8 @@ from ..face.landmarks import (
     from_ibug,
     outer_eye_distance,
 )
-from ..mesh.surface import SurfaceGraph
-from ..numeric.arrays import FloatArray, IntArray
 from .regions import hold_landmarks
+from .surface import SurfaceGraph
 
 _UPPER_LIDS = EYE_RIGHT[:4], EYE_LEFT[:4]
 _LOWER_LIDS = EYE_RIGHT[[3, 4, 5, 0]], EYE_LEFT[[3, 4, 5, 0]]

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import (
+from ..base.arrays import FloatArray, IntArray
+from ..base.landmarks import (
     BROWS,
     EYE_LEFT,
     EYE_RIGHT,
@@ -17,10 +18,9 @@ from ..face.landmarks import (
     MOUTH_INNER_UPPER,
     outer_eye_distance,
 )
-from ..mesh.surface import SurfaceGraph
-from ..numeric.arrays import FloatArray, IntArray
 from .part_names import named_part, names_inside, names_upper
-from .parts import Part
+from .rig import Part
+from .surface import SurfaceGraph
 
 _NEAR_EYE = 0.6
 """Largest distance of the middle of an eye's piece from the middle of the eye, seen from the front, in eye widths."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from ..bake.bake_settings import BakeSettings
+from ..base.setting import setting
 from ..drive.drive_settings import DriveSettings
-from ..files.setting import setting
 from ..tracking.tracking_settings import TrackingSettings
 
 

@@ -8,9 +8,9 @@ import struct
 from contextlib import suppress
 from typing import Protocol
 
+from .addresses import cannot_listen, resolve
 from .casting import Address
-from .protocols.frames import MAX_DATAGRAM
-from .transport.addresses import cannot_listen, resolve
+from .frames import MAX_DATAGRAM
 
 LENGTH = struct.Struct("<I")
 """Prefix of each message over TCP."""

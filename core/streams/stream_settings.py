@@ -6,24 +6,31 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import SourceError
-from ..files.setting import Choice, setting, settings_of
-from . import vertices
-from .protocols import face_cap, face_motion, ifacialmocap, live_link, openseeface, vmc, vrcfacetracking, vtube_studio
-from .protocols.face_cap import FaceCapDecoder
-from .protocols.frames import Decoder
-from .protocols.ifacialmocap import IFacialMocapDecoder
-from .protocols.live_link import ANGLES, Angles, LiveLinkDecoder
-from .protocols.openseeface import OpenSeeFaceDecoder
-from .protocols.vmc import VmcDecoder
-from .protocols.vrcfacetracking import VrcFaceTrackingDecoder
-from .protocols.vtube_studio import VTubeStudioDecoder
-from .transport import datagram
-from .transport.addresses import EVERYWHERE, LOOPBACK, is_loopback
-from .transport.pairing import Pairing
-from .transport.security import read_key
-from .vertex_decoder import VertexDecoder
-from .vertices import VERTICES
+from ..base.errors import SourceError
+from ..base.setting import Choice, setting, settings_of
+from . import (
+    datagram,
+    face_cap,
+    face_motion,
+    ifacialmocap,
+    live_link,
+    openseeface,
+    vertices,
+    vmc,
+    vrcfacetracking,
+    vtube_studio,
+)
+from .addresses import EVERYWHERE, LOOPBACK, Pairing, is_loopback
+from .face_cap import FaceCapDecoder
+from .frames import Decoder
+from .ifacialmocap import IFacialMocapDecoder
+from .live_link import ANGLES, Angles, LiveLinkDecoder
+from .openseeface import OpenSeeFaceDecoder
+from .security import read_key
+from .vertices import VERTICES, VertexDecoder
+from .vmc import VmcDecoder
+from .vrcfacetracking import VrcFaceTrackingDecoder
+from .vtube_studio import VTubeStudioDecoder
 
 OWN = "own"
 _MIN_DELAY = 0.0

@@ -9,11 +9,10 @@ import socket
 import ssl
 from contextlib import suppress
 
-from ..errors import Message, SourceError, messages
+from ..base.errors import Message, SourceError, messages
+from .addresses import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing, resolve
 from .casting import Address
 from .links import call, has_answered
-from .transport.addresses import resolve
-from .transport.pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
 
 _AGAIN = 1.0
 """Seconds from a failed attempt to the next one."""

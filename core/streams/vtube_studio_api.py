@@ -16,18 +16,18 @@ import numpy as np
 from websockets.exceptions import WebSocketException
 from websockets.sync.client import ClientConnection, connect
 
+from ..base.errors import Message
+from ..base.names import COEFFICIENT_INDEX
+from ..base.reading import read_bytes
+from ..base.rotation import to_face_axes
+from ..base.writing import write_secret
 from ..drive.drive_settings import DriveSettings
-from ..errors import Message
-from ..face.coefficient_names import COEFFICIENT_INDEX
-from ..face.rotation import to_face_axes
-from ..files.reading import read_bytes
-from ..files.writing import write_secret
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
-from .protocols.frames import FaceValues
+from .addresses import LOOPBACK, bracketed, resolve
+from .background import Connecting
+from .frames import FaceValues
 from .sender import FaceMeasure
-from .transport.addresses import LOOPBACK, bracketed, resolve
-from .transport.background import Connecting
 
 PORT = 8001
 PLUGIN = "Facemime"
@@ -135,7 +135,7 @@ def injection(values: dict[str, float], *, found: bool) -> str:
 
 
 class VTubeStudioSender(Connecting):
-    """Sends tracking results to VTube Studio. See `core.live.outputs.Output`.
+    """Sends tracking results to VTube Studio. See `core.puppet.outputs.Output`.
 
     Parameters
     ----------

@@ -9,12 +9,12 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import BROWS, JAW, N_LANDMARKS
-from ..files.archives import open_shipped
-from ..files.assets import ASSETS
-from ..numeric import linalg
-from ..numeric.arrays import FloatArray
-from ..numeric.linalg import multiply
+from ..base import linalg
+from ..base.archives import open_shipped
+from ..base.arrays import FloatArray
+from ..base.assets import ASSETS
+from ..base.landmarks import BROWS, JAW, N_LANDMARKS
+from ..base.linalg import multiply
 
 FORMAT = "facemime-face-space-1"
 FACE_SPACE_FILE = ASSETS / "expressions" / "face_space.npz"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..face.rotation import euler_to_matrix, matrix_to_euler
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.rotation import euler_to_matrix, matrix_to_euler
 from .take import Take
 
 _FIXATION = 0.07

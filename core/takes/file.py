@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import DataError, Message, OutputError, SourceError
-from ..files.closing import Closing
-from ..files.reading import read_bytes
-from ..files.writing import reason_of, replacing
-from ..media.capture import check_readable
+from ..base.capture import check_readable
+from ..base.closing import Closing
+from ..base.errors import DataError, Message, OutputError, SourceError
+from ..base.reading import read_bytes
+from ..base.writing import reason_of, replacing
 from ..tracking.result import TrackResult
 from .format import (
     END,

@@ -18,12 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError
-from ..face.actions import N_ACTIONS
-from ..face.coefficient_names import N_COEFFICIENTS
-from ..face.landmarks import N_LANDMARKS
-from ..files.reading import parse_json
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.errors import DataError
+from ..base.landmarks import N_LANDMARKS
+from ..base.names import N_ACTIONS, N_COEFFICIENTS
+from ..base.reading import parse_json
 from .take import Take
 
 FORMAT_VERSION = 3

@@ -7,9 +7,9 @@ from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
 
-from ..errors import Message
-from ..media.capture import VideoSource
-from ..media.media_starts import last_image
+from ..base.capture import VideoSource
+from ..base.errors import Message
+from ..base.media_headers import last_image
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter

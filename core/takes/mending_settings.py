@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ..files.setting import Choice, setting
+from ..base.setting import Choice, setting
 
 Gaps = Literal["leave", "bridge", "hold"]
 Smoothing = Literal["none", "one-euro", "zero-phase"]

@@ -8,15 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import Message, SourceError
-from ..face.actions import ACTION_MIRROR, N_ACTIONS
-from ..face.apertures import eye_apertures, mouth_aperture
-from ..face.landmarks import MIRROR, N_LANDMARKS
-from ..face.rotation import euler_to_matrix
-from ..files.reading import as_object, parse_json
+from ..base import linalg
+from ..base.arrays import FloatArray, IntArray
+from ..base.errors import Message, SourceError
+from ..base.landmarks import MIRROR, N_LANDMARKS, eye_apertures, mouth_aperture
+from ..base.names import ACTION_MIRROR, N_ACTIONS
+from ..base.reading import as_object, parse_json
+from ..base.rotation import euler_to_matrix
 from ..heads.regions import REGIONS, rms_extent
-from ..numeric import linalg
-from ..numeric.arrays import FloatArray, IntArray
 from .face_space import load_face_space
 from .facing import facing, usual_gaze
 from .take import Take

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import FacemimeError
-from ..numeric import linalg
-from ..numeric.arrays import FloatArray
+from ..base import linalg
+from ..base.arrays import FloatArray
+from ..base.errors import FacemimeError
 from ..tracking.smoothing import SHAPE_PARTS, ResultSmoother
 from .take import Take, TakeRecorder
 from .timing import project

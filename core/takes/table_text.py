@@ -15,7 +15,7 @@ from io import StringIO
 from itertools import chain
 from pathlib import Path
 
-from ..errors import DataError
+from ..base.errors import DataError
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),

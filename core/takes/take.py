@@ -14,12 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import DataError, SourceError
-from ..face.actions import N_ACTIONS
-from ..face.coefficient_names import N_COEFFICIENTS
-from ..face.landmarks import N_LANDMARKS
-from ..files.assets import version
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.assets import version
+from ..base.errors import DataError, SourceError
+from ..base.landmarks import N_LANDMARKS
+from ..base.names import N_ACTIONS, N_COEFFICIENTS
 from ..tracking.result import TrackResult
 
 

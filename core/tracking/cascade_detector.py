@@ -13,8 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import ModelError
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.errors import ModelError
 
 DETECTORS = ("haarcascade_frontalface_default", "haarcascade_frontalface_alt2", "haarcascade_profileface")
 

@@ -21,8 +21,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import BROWS, MIRROR
-from ..numeric.arrays import FloatArray, IntArray
+from ..base.arrays import FloatArray, IntArray
+from ..base.landmarks import BROWS, MIRROR
 from .network import Network
 from .reference import translate_pose, warp_to_reference
 

@@ -9,12 +9,12 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import BROWS, INNER, MIRROR, N_LANDMARKS
-from ..numeric.arrays import FloatArray
-from .check import N_FEATURES
+from ..base.arrays import FloatArray
+from ..base.landmarks import BROWS, INNER, MIRROR, N_LANDMARKS
 from .experts import PartExperts, ResponseMaps
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel
+from .network import N_FEATURES
 from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
 

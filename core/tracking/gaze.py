@@ -15,10 +15,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.apertures import eye_apertures
-from ..face.landmarks import EYE_LEFT, EYE_RIGHT
-from ..face.rotation import euler_to_matrix
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.landmarks import EYE_LEFT, EYE_RIGHT, eye_apertures
+from ..base.rotation import euler_to_matrix
 from .reference import warp_to_reference
 
 _EYES = np.array([EYE_RIGHT, EYE_LEFT])

@@ -8,8 +8,8 @@ from math import inf
 
 import numpy as np
 
-from ..numeric.arrays import FloatArray
-from ..numeric.linalg import multiply, solve_definite
+from ..base.arrays import FloatArray
+from ..base.linalg import multiply, solve_definite
 from .experts import ResponseMaps
 from .pdm import N_POSE, FittedShape, PointDistributionModel, normal_matrix
 

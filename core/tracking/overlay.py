@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import EDGES
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.landmarks import EDGES
 from .result import TrackResult
 
 Image = NDArray[np.uint8]

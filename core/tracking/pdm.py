@@ -12,10 +12,10 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from ..face.landmarks import MIRROR
-from ..face.rotation import euler_to_matrix
-from ..numeric.arrays import FloatArray
-from ..numeric.linalg import multiply, solve_definite
+from ..base.arrays import FloatArray
+from ..base.landmarks import MIRROR
+from ..base.linalg import multiply, solve_definite
+from ..base.rotation import euler_to_matrix
 
 N_POSE = 6
 """`(s, pitch, yaw, roll, tx, ty)`, as in `TrackResult.pose`."""

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
 
 
 @dataclass(frozen=True)

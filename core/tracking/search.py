@@ -10,11 +10,11 @@ from typing import TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
 from .cascade_detector import EFFORTS, CascadeDetector, Effort, Step
 from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .model_file import TrackerModel
-from .network_detector import SIDES, NetworkDetector
+from .network import SIDES, NetworkDetector
 from .pdm import FittedShape
 
 _MAX_BOXES = 60

@@ -13,9 +13,9 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, NOSE
-from ..face.rotation import euler_to_matrix
-from ..numeric.arrays import FloatArray
+from ..base.arrays import FloatArray
+from ..base.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, NOSE
+from ..base.rotation import euler_to_matrix
 from .result import TrackResult
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ..files.setting import Choice, setting
+from ..base.setting import Choice, setting
 
 NETWORK, CASCADES = "network", "cascades"
 

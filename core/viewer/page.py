@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-from ..errors import ModelError
-from ..files.assets import ASSETS
-from ..files.reading import read_bytes
+from ..base.assets import ASSETS
+from ..base.errors import ModelError
+from ..base.reading import read_bytes
 
 PAGE = ASSETS / "viewer"
 BUILT = "built/viewer.js"

@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from ..errors import OutputError, SourceError
-from ..files.reading import read_bytes
-from ..files.writing import replacing, write_secret
-from ..streams.transport.addresses import EVERYWHERE, LOOPBACK, is_loopback
-from .model import ViewerModel
-from .nats import MAX_PAYLOAD
+from ..base.errors import OutputError, SourceError
+from ..base.reading import read_bytes
+from ..base.writing import replacing, write_secret
+from ..streams.addresses import EVERYWHERE, LOOPBACK, is_loopback
+from .messages import MAX_PAYLOAD
+from .model import ViewerModel, description
 from .page import content_policy, page_files
-from .scene import description
 
 SUBJECT = "facemime"
 """Subject of the frames."""

@@ -16,8 +16,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from facemime.core.base.names import ACTIONS, N_ACTIONS
 from facemime.core.drive.actions import ActionDriver
-from facemime.core.face.actions import ACTIONS, N_ACTIONS
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.blender.frames import to_blender
-from facemime.core.files.assets import ASSETS
+from facemime.core.base.assets import ASSETS
 from lab.training.head.anatomy import landmark_vertices
 from lab.training.head.build import TO_HEAD, head_points
 from lab.training.head.complexion import MAN

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import BROWS, INNER
+from facemime.core.base.landmarks import BROWS, INNER
 from facemime.core.tracking.tracker import FaceTracker
 from lab.bench.accuracy import eye_distances
 from lab.bench.exact import Clip

@@ -9,8 +9,8 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.deform.rbf import RBFDeformer
+from facemime.core.drive.head_deformer import head_deformer
+from facemime.core.drive.rbf import RBFDeformer
 from facemime.core.heads.rig import HeadRig, built_in_head
 from lab.bench.report import Table
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.control_points.greedy import GreedySelection
-from facemime.core.deform.expressions import learn, load_expressions
+from facemime.core.drive.expressions import learn, load_expressions
+from facemime.core.drive.greedy import GreedySelection
 from lab.bench.deform_speed import speed_table
 from lab.bench.deformers import Method, all_methods, greedy_points
 from lab.bench.heads import AREAS, TrueHead, ict_head, true_built_in_head

@@ -12,15 +12,15 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from facemime.core.control_points.greedy import GreedySelection, greedy_select
-from facemime.core.control_points.selection_settings import Search
-from facemime.core.deform.expressions import ExpressionModel
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
-from facemime.core.face.landmarks import N_LANDMARKS, from_ibug
+from facemime.core.base.landmarks import N_LANDMARKS, from_ibug
+from facemime.core.drive.expressions import ExpressionModel
+from facemime.core.drive.greedy import GreedySelection, greedy_select
+from facemime.core.drive.head_deformer import head_deformer
+from facemime.core.drive.rbf import IncrementalDeformer, RBFDeformer
+from facemime.core.drive.selection_settings import Search
 from facemime.core.heads.regions import DEFAULT_KERNEL, sharp_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.mesh.pieces import islands
+from facemime.core.heads.surface import islands
 from lab.bench.heads import Points, TrueHead, random_mixtures
 
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.face.landmarks import INNER
+from facemime.core.base.landmarks import INNER
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.core.tracking.tracking_settings import CASCADES, NETWORK, TrackingSettings
 from lab.bench.report import Table, finish, people_parser

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.face.landmarks import (
+from facemime.core.base.landmarks import (
     BROWS,
     EYE_CORNERS,
     EYE_LEFT,
@@ -28,7 +28,7 @@ from facemime.core.face.landmarks import (
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.heads.surface import SurfaceGraph
 from lab.training.expressions.__main__ import ARKIT_EXCEPTIONS
 from lab.training.tracker.heads import FACE, load_ict
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.mesh.kernels import distances, gaussian
+from facemime.core.heads.kernels import distances, gaussian
 from lab.bench.deformers import regions
 from lab.bench.heads import AREAS, TrueHead
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import EDGES, INNER
+from facemime.core.base.landmarks import EDGES, INNER
 from facemime.core.tracking.tracker import FaceTracker
 from lab.training.data import add_data_option
 from lab.training.tracker.sources import HAND_LABELLED, read_photos, split

@@ -9,14 +9,14 @@ from functools import cache
 
 import numpy as np
 
+from facemime.core.base.names import COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.heads.appearance import Appearance, built_in_appearance
 from facemime.core.heads.rig import built_in_head
-from facemime.core.streams.links import LENGTH
-from facemime.core.streams.protocols import live_link, openseeface, osc, vmc
-from facemime.core.streams.protocols.face_cap import FaceCapDecoder
-from facemime.core.streams.protocols.face_motion import (
+from facemime.core.streams import live_link, openseeface, osc, vmc
+from facemime.core.streams.datagram import OwnReceiver, OwnSender, encode_face
+from facemime.core.streams.face_cap import FaceCapDecoder
+from facemime.core.streams.face_motion import (
     FRAME,
     POSE,
     REVISION,
@@ -27,19 +27,17 @@ from facemime.core.streams.protocols.face_motion import (
     FaceMotionReceiver,
     message,
 )
-from facemime.core.streams.protocols.frames import Decoder, FaceValues, StreamFrame
-from facemime.core.streams.protocols.ifacialmocap import IFacialMocapDecoder
-from facemime.core.streams.protocols.live_link import LiveLinkDecoder
-from facemime.core.streams.protocols.openseeface import OpenSeeFaceDecoder
-from facemime.core.streams.protocols.vmc import VmcDecoder
-from facemime.core.streams.protocols.vrcfacetracking import VrcFaceTrackingDecoder
-from facemime.core.streams.protocols.vtube_studio import VTubeStudioDecoder
-from facemime.core.streams.transport.datagram import encode_face
-from facemime.core.streams.transport.sessions import OwnReceiver, OwnSender
-from facemime.core.streams.vertex_decoder import VertexDecoder
+from facemime.core.streams.frames import Decoder, FaceValues, StreamFrame
+from facemime.core.streams.ifacialmocap import IFacialMocapDecoder
+from facemime.core.streams.links import LENGTH
+from facemime.core.streams.live_link import LiveLinkDecoder
+from facemime.core.streams.openseeface import OpenSeeFaceDecoder
+from facemime.core.streams.vertices import VertexDecoder, encode_frame, encode_mesh
 from facemime.core.streams.vertices import encode_face as encode_points
-from facemime.core.streams.vertices import encode_frame, encode_mesh
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.streams.vmc import VmcDecoder
+from facemime.core.streams.vrcfacetracking import VrcFaceTrackingDecoder
+from facemime.core.streams.vtube_studio import VTubeStudioDecoder
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.tracking.result import TrackResult
 
 _FACE = FaceValues(np.linspace(0.0, 1.0, N_COEFFICIENTS), np.array([0.1, -0.2, 0.05]))

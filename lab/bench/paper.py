@@ -14,17 +14,17 @@ from time import perf_counter, process_time
 import cv2
 import numpy as np
 
-from facemime.core.control_points.greedy import START, GreedySelection
-from facemime.core.control_points.select import select_control_points
-from facemime.core.deform.expressions import load_expressions
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.base.setting import settings_of
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.expressions import load_expressions
+from facemime.core.drive.greedy import START, GreedySelection
 from facemime.core.drive.motion import drive_take
-from facemime.core.face.landmarks import from_ibug
-from facemime.core.files.setting import settings_of
+from facemime.core.drive.select import select_control_points
 from facemime.core.heads.regions import REGIONS, UPPER, membership, sharp_regions
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.puppet.built_in_presets import built_in_path, read_preset
+from facemime.core.puppet.presets import built_in_path, read_preset
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.takes.take import Take

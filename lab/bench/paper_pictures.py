@@ -13,16 +13,16 @@ from facemime.blender.preview_scene import face_view, setup_preview
 from facemime.blender.rendering import render_frames
 from facemime.blender.timeline import frames_of
 from facemime.cli.headless import open_stage
-from facemime.core.control_points.greedy import START
-from facemime.core.control_points.select import select_control_points
-from facemime.core.control_points.table import REGION_COLOURS
-from facemime.core.deform.expressions import load_expressions
+from facemime.core.base.capture import VideoSource
+from facemime.core.base.landmarks import from_ibug
 from facemime.core.drive.drive_settings import DriveSettings
+from facemime.core.drive.expressions import load_expressions
+from facemime.core.drive.greedy import START
 from facemime.core.drive.motion import select_distinct_frames
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.drive.select import select_control_points
+from facemime.core.drive.table import REGION_COLOURS
 from facemime.core.heads.regions import membership, sharp_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.media.capture import VideoSource
 from facemime.core.puppet.job import PuppetJob
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.take import Take

@@ -20,9 +20,9 @@ from facemime.blender.animation.targets import own_targets
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.core.bake.arkit import FrameCoefficients
+from facemime.core.base.capture import VideoSource
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.media.capture import VideoSource
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker

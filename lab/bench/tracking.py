@@ -16,7 +16,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import BROWS, INNER, JAW
+from facemime.core.base.landmarks import BROWS, INNER, JAW
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.smoothing import ResultSmoother
 from facemime.core.tracking.tracker import FaceTracker

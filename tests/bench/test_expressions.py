@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
+from facemime.core.base.landmarks import BROWS, LOWER_LIDS, MOUTH_CORNERS, UPPER_LIDS, from_ibug, outer_eye_distance
 from facemime.core.heads.rig import built_in_head
 from lab.bench.expressions import THRESHOLDS, Clip, Score, features, read_clips, score, slope
 

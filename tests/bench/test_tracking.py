@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import INNER, LOWER_LIDS, OUTER_EYE_CORNERS, UPPER_LIDS
+from facemime.core.base.landmarks import INNER, LOWER_LIDS, OUTER_EYE_CORNERS, UPPER_LIDS
 from facemime.core.tracking.tracker import FaceTracker
 from lab.bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
 from lab.bench.peers.saragih import read_peer

@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.errors import SourceError
-from facemime.core.face.landmarks import IBUG68_INDICES
+from facemime.core.base.errors import SourceError
+from facemime.core.base.landmarks import IBUG68_INDICES
 from lab.bench import wild
 
 SAMPLE = Path(__file__).parents[2] / "assets" / "sample"

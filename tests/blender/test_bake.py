@@ -13,8 +13,8 @@ from facemime.blender.meshes import write_vertices
 from facemime.blender.names import LANDMARKS_PROPERTY, PART_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import OUTER_EYE_CORNERS
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import OUTER_EYE_CORNERS
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.curves import curves_of
 from tests.helpers.takes import performance

@@ -12,7 +12,7 @@ from facemime.blender.heads.family import character_in, face_candidates, heads_o
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import is_head, read_landmarks
 from facemime.blender.names import PART_PROPERTY, REGION_GROUPS
-from facemime.core.errors import HeadError
+from facemime.core.base.errors import HeadError
 from facemime.operators.own_head import FACEMIME_OT_bind_landmarks
 from facemime.operators.shared import chosen_character, heads_in, subject
 from tests.helpers.characters import make_character, shown

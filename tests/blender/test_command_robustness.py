@@ -19,7 +19,7 @@ import pytest
 import facemime
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rendering import write_video
-from facemime.core.errors import OutputError
+from facemime.core.base.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from tests.helpers.takes import performance
 

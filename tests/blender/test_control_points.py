@@ -10,8 +10,8 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.heads.placing import landmark_places, nearest_landmark
 from facemime.blender.meshes import read_landmarks, read_selection, write_selection
 from facemime.blender.rigs import read_rig
-from facemime.core.control_points.select import select_control_points
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.drive.select import select_control_points
 from facemime.settings.panel_properties import list_landmarks
 from facemime.ui.control_points import FACEMIME_UL_landmarks, shown_rows
 from facemime.ui.overlays import dots
@@ -121,7 +121,7 @@ def test_the_selected_landmark_is_drawn_largest(head):
 
 
 def test_a_modifier_that_removes_vertices_is_reported(head):
-    from facemime.core.errors import HeadError
+    from facemime.core.base.errors import HeadError
 
     head.modifiers.new("Decimate", "DECIMATE").ratio = 0.2
     with pytest.raises(HeadError, match="removes vertices"):

@@ -14,7 +14,7 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
-from facemime.core.errors import OutputError
+from facemime.core.base.errors import OutputError
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.characters import make_character
 from tests.helpers.hiding import HIDING

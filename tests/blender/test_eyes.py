@@ -9,9 +9,9 @@ from facemime.blender.heads.binding import check_object
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import eye_vertices, read_faces, read_landmarks, read_regions, read_vertices
 from facemime.blender.rigs import read_rig
+from facemime.core.base.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, MIRROR, UPPER_LIDS
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, MIRROR, UPPER_LIDS
-from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.heads.surface import SurfaceGraph
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.scans import UNIT, scanned
 from tests.helpers.seen import seen

@@ -13,8 +13,8 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
-from facemime.core.errors import HeadError, OutputError
-from facemime.core.mesh.nearest import NearestPoints
+from facemime.core.base.errors import HeadError, OutputError
+from facemime.core.heads.surface import NearestPoints
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from tests.helpers.characters import make_character

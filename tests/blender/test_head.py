@@ -17,8 +17,8 @@ from facemime.blender.preview_scene import setup_preview
 from facemime.blender.rendering import without_subdivision
 from facemime.blender.rigs import read_rig
 from facemime.blender.view_layers import is_seen_by_camera
-from facemime.core.face.landmarks import from_ibug
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
 
 ANGLES = st.tuples(*[st.floats(-1.5, 1.5)] * 3)

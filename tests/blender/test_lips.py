@@ -10,9 +10,9 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_vertices
 from facemime.blender.rigs import read_rig
 from facemime.cli.character import bind
+from facemime.core.base.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
-from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.heads.surface import SurfaceGraph
 from facemime.core.puppet.job import HeadFile
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.result import TrackResult

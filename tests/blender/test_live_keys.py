@@ -7,7 +7,7 @@ from facemime.blender.animation.live_keys import live_keys
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import ASIDE_PROPERTY, PART_PROPERTY, VALUES_PROPERTY
-from facemime.core.errors import HeadError
+from facemime.core.base.errors import HeadError
 from facemime.sessions.start import follow_settings, start_session
 from tests.helpers.curves import curves_of
 from tests.helpers.live_ticks import wait_for

@@ -8,7 +8,7 @@ from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.live_mesh import LIVE_KEY
 from facemime.blender.heads.new_heads import add_head
-from facemime.core.errors import HeadError
+from facemime.core.base.errors import HeadError
 from facemime.operators.puppet import running
 from tests.helpers.live_ticks import outcome_of_ticks, shown, some_frames, start, ticks_until
 

@@ -13,8 +13,8 @@ from facemime.blender.meshes import write_selection
 from facemime.blender.names import REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.blender.viewports import free_box
-from facemime.core.control_points.select import select_control_points
-from facemime.core.face.landmarks import IBUG68_INDICES
+from facemime.core.base.landmarks import IBUG68_INDICES
+from facemime.core.drive.select import select_control_points
 from facemime.core.heads.regions import REGIONS
 from facemime.core.takes.file import save_take
 from facemime.operators.calibrate import FACEMIME_OT_calibrate

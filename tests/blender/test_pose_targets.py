@@ -12,9 +12,9 @@ from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
-from facemime.core.face.landmarks import EYE_CORNERS, outer_eye_distance
-from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.heads.bones import FaceBones
+from facemime.core.base.landmarks import EYE_CORNERS, outer_eye_distance
+from facemime.core.base.rotation import euler_to_matrix
+from facemime.core.heads.part_names import FaceBones
 from facemime.operators.puppet import running
 from tests.helpers.characters import make_character
 from tests.helpers.live_ticks import outcome_of_ticks, ticks_until

@@ -10,8 +10,8 @@ from mathutils import Vector
 
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.reference import add_reference
-from facemime.core.errors import OutputError
-from facemime.core.media.capture import VideoSource
+from facemime.core.base.capture import VideoSource
+from facemime.core.base.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running

@@ -10,8 +10,8 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.heads.painting import paint_region
 from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import from_ibug
 from facemime.ui import overlays
 from facemime.ui.overlays import coloured_triangles, shown_regions
 

@@ -4,8 +4,8 @@ import bpy
 import pytest
 
 from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.base.setting import settings_of
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
-from facemime.core.files.setting import settings_of
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.settings.values import bake_settings, puppet_settings
 

@@ -8,8 +8,8 @@ import pytest
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, read_vertices
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import outer_eye_distance
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import outer_eye_distance
 
 
 @pytest.fixture

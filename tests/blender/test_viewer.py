@@ -17,13 +17,13 @@ from facemime.blender.animation.appearance import read_appearance
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.preview_scene import setup_preview
 from facemime.cli.main import main
+from facemime.core.base.errors import SourceError
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.errors import SourceError
 from facemime.core.heads.appearance import built_in_appearance
 from facemime.core.heads.rig import built_in_head
-from facemime.core.streams.transport.addresses import EVERYWHERE
+from facemime.core.streams.addresses import EVERYWHERE
 from facemime.core.takes.file import save_take
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.page import BUILT, PAGE
 from facemime.operators.puppet import running

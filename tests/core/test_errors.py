@@ -5,7 +5,7 @@ import pickle
 
 import pytest
 
-from facemime.core.errors import DataError, FacemimeError, Message, SourceError, messages
+from facemime.core.base.errors import DataError, FacemimeError, Message, SourceError, messages
 
 
 def test_a_message_is_its_text():

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.landmarks import from_ibug
 
 SAMPLE = Path(__file__).parents[2] / "assets" / "sample"
 

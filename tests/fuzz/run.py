@@ -21,7 +21,7 @@ from random import Random
 
 import cv2
 
-from facemime.core.errors import FacemimeError
+from facemime.core.base.errors import FacemimeError
 
 from .formats import FORMATS, Format
 

@@ -7,8 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 from random import Random
 
-from facemime.core.errors import SourceError
-from facemime.core.streams.protocols.frames import PacketError
+from facemime.core.base.errors import SourceError
+from facemime.core.streams.frames import PacketError
 from lab.bench.packets import INTACT, is_possible, packets, phone_json
 
 from .mutators import mutated_bytes, mutated_json

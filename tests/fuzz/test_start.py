@@ -11,7 +11,7 @@ from random import Random
 
 import pytest
 
-from facemime.core.errors import FacemimeError
+from facemime.core.base.errors import FacemimeError
 from tests.fuzz.formats import FORMATS
 from tests.helpers.blenders import ROOT
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
-from facemime.core.streams.protocols.live_link import LiveLinkDecoder
+from facemime.core.base.names import COEFFICIENT_INDEX
+from facemime.core.streams.live_link import LiveLinkDecoder
 from tests.gui.conftest import installed
 from tests.helpers.gui.sidebar import Sidebar
 from tests.helpers.gui.window import Blender

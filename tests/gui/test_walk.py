@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from facemime.blender.frames import to_blender
+from facemime.core.base.landmarks import OUTER_EYE_CORNERS
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.landmarks import OUTER_EYE_CORNERS
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import Neutral
 from facemime.core.tracking.tracker import FaceTracker

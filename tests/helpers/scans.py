@@ -7,7 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import OUTER_EYE_CORNERS
+from facemime.core.base.landmarks import OUTER_EYE_CORNERS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.lids import EyeCut
 

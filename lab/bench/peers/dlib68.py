@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import IBUG68_INDICES, N_LANDMARKS
+from facemime.core.base.landmarks import IBUG68_INDICES, N_LANDMARKS
 
 
 class Dlib:

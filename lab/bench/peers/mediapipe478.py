@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import IBUG68_INDICES
+from facemime.core.base.landmarks import IBUG68_INDICES
 
 VERTICES_68 = (
     # jaw line along the oval of the face, from the viewer's left ear to the right one

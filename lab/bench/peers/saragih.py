@@ -15,7 +15,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import INNER, N_LANDMARKS
+from facemime.core.base.landmarks import INNER, N_LANDMARKS
 from facemime.core.tracking.experts import ResponseMaps
 from facemime.core.tracking.mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel

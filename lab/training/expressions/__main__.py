@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums i
 import numpy as np
 from scipy.spatial import cKDTree
 
-from facemime.core.deform.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
+from facemime.core.drive.expressions import EXPRESSIONS_FILE, FORMAT, ExpressionModel, learn
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.takes.face_space import FACE_SPACE_FILE
 from facemime.core.tracking.tracker import FaceTracker

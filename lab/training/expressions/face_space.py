@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facemime.core.face.landmarks import MIRROR
+from facemime.core.base.landmarks import MIRROR
 from facemime.core.takes.face_space import FORMAT, FaceSpace, without_similarity
 from facemime.core.tracking.pdm import PointDistributionModel
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.face.landmarks import MIRROR, N_LANDMARKS, from_ibug
+from facemime.core.base.landmarks import MIRROR, N_LANDMARKS, from_ibug
 
 LEFT_LANDMARKS: dict[int, int] = {
     **{8: 5225, 9: 11831, 10: 7618, 11: 7594, 12: 7596, 13: 11850, 14: 7574, 15: 7573, 16: 7575},

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.face.rotation import fit_rotation
+from facemime.core.base.rotation import fit_rotation
 
 from .anatomy import UPPER_LIP_LINE
 from .source import BaseMesh

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from facemime.core.face.landmarks import from_ibug, outer_eye_distance
+from facemime.core.base.landmarks import from_ibug, outer_eye_distance
 from facemime.core.heads.regions import hold_landmarks
 
 from . import anatomy

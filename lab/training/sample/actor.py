@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.face.landmarks import from_ibug
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.base.rotation import euler_to_matrix
 
 from ..head import complexion
 from ..head.anatomy import LOWER_LID_EDGE, UPPER_LID_EDGE, landmark_vertices

@@ -72,7 +72,7 @@ def units_at(time: float) -> dict[str, float]:
 
 
 def pose_at(time: float) -> NDArray[np.float64]:
-    """Pitch, yaw and roll in radians, (3,), as in `core.face.rotation`: acted, plus the sway of a sitting person."""
+    """Pitch, yaw and roll in radians, (3,), as in `core.base.rotation`: acted, plus the sway of a sitting person."""
     acted = sum((np.array(act.pose) * _share(act, time) for act in ACTS), np.zeros(3))
     sway = np.radians([0.9, 1.6, 0.7]) * np.sin(2.0 * np.pi * (time * np.array([0.23, 0.17, 0.13]) + [0.0, 0.3, 0.6]))
     return np.asarray(acted + sway)

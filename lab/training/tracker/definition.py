@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.face.landmarks import MIRROR, N_LANDMARKS, from_ibug
+from facemime.core.base.landmarks import MIRROR, N_LANDMARKS, from_ibug
 
 SHARE = 0.25
 _BROW_END = from_ibug((21,))

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, JAW, LOWER_LIP, MOUTH_OUTER, UPPER_LIP, from_ibug
+from facemime.core.base.landmarks import EYE_LEFT, EYE_RIGHT, JAW, LOWER_LIP, MOUTH_OUTER, UPPER_LIP, from_ibug
 
 from .drawing import line
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from facemime.core.face.landmarks import IBUG68_INDICES, OUTER_EYE_CORNERS
+from facemime.core.base.landmarks import IBUG68_INDICES, OUTER_EYE_CORNERS
 
 from ..data import ICT_FILE
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.rotation import euler_to_matrix
 
 _ALONG, _AROUND = 14, 16
 _UPPER, _LOWER = 61, 64

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import MIRROR, N_LANDMARKS
+from facemime.core.base.landmarks import MIRROR, N_LANDMARKS
 from facemime.core.tracking.patch_experts import CONTRAST_FLOOR, HALF, PATCH, PatchExperts
 from facemime.core.tracking.reference import warp_to_reference
 

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT
-from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.mesh.raster import rasterise
+from facemime.core.base.landmarks import EYE_LEFT, EYE_RIGHT
+from facemime.core.base.rotation import euler_to_matrix
+from facemime.core.heads.triangles import rasterise
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .heads import EYEBALLS, FACE, IctHead

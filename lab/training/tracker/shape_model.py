@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.face.landmarks import (
+from facemime.core.base.landmarks import (
     BROWS,
     EYE_LEFT,
     EYE_RIGHT,
@@ -14,7 +14,7 @@ from facemime.core.face.landmarks import (
     N_LANDMARKS,
     OUTER_EYE_CORNERS,
 )
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .heads import IctHead, sample_expression

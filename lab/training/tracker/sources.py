@@ -8,7 +8,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import IBUG68_INDICES, MIRROR, OUTER_EYE_CORNERS
+from facemime.core.base.landmarks import IBUG68_INDICES, MIRROR, OUTER_EYE_CORNERS
 
 HELD_OUT_FILE = Path(__file__).with_name("held_out.txt")
 HAND_LABELLED = ("london_neutral", "canada")

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from facemime.core.face.landmarks import INNER
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import INNER
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .shape_model import definition_bias

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 import cv2
 import numpy as np
 
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.landmarks import from_ibug
 
 from .drawing import line
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from facemime.core.binding.eye_contours import lids_seen
-from facemime.core.face.landmarks import outer_eye_distance
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import outer_eye_distance
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.eye_outline import EYES
+from facemime.core.heads.eyeballs import EYES
+from facemime.core.heads.portrait import lids_seen
 
 
 def eye_of(head, *, left: bool):

@@ -4,15 +4,15 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.binding.bind import MARKS, bind_landmarks
-from facemime.core.binding.portrait import SIZE, Sitter
-from facemime.core.binding.sight import look
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import EYE_CORNERS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, OUTER_EYE_CORNERS, from_ibug
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import EYE_CORNERS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.base.rotation import euler_to_matrix
+from facemime.core.heads.bind import MARKS, bind_landmarks
 from facemime.core.heads.built_in import load_head
-from facemime.core.mesh.raster import rasterise
-from facemime.core.mesh.surface import triangulate
+from facemime.core.heads.portrait import SIZE, Sitter
+from facemime.core.heads.sight import look
+from facemime.core.heads.surface import triangulate
+from facemime.core.heads.triangles import rasterise
 from tests.helpers.scans import scanned
 from tests.helpers.thorough import first_of
 

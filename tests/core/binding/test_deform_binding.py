@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.binding.bind import MARKS, bind_landmarks
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import (
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import (
     INNER,
     LOWER_LIDS,
     MIRROR,
@@ -20,14 +18,16 @@ from facemime.core.face.landmarks import (
     UPPER_LIDS,
     from_ibug,
 )
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.rotation import euler_to_matrix
+from facemime.core.drive.head_deformer import head_deformer
+from facemime.core.heads.bind import MARKS, bind_landmarks
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.checks import check_head
+from facemime.core.heads.kernels import Warp
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks, membership
 from facemime.core.heads.rig import built_in_head
-from facemime.core.mesh.surface import SurfaceGraph, lips_joined
-from facemime.core.mesh.warp import Warp
+from facemime.core.heads.surface import SurfaceGraph, lips_joined
 from lab.bench.heads import ict_people
 from lab.training.data import DATA, has_heads
 from tests.helpers.scans import scanned

@@ -21,11 +21,11 @@ from facemime.cli.guard import own_command
 from facemime.cli.options import Parser, add_puppet_options, as_options, parse, puppet_job
 from facemime.cli.report import Entry, write_report
 from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.base.capture import write_image
+from facemime.core.base.errors import FacemimeError, OutputError, SourceError
+from facemime.core.base.setting import settings_of
+from facemime.core.base.writing import locked
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
-from facemime.core.errors import FacemimeError, OutputError, SourceError
-from facemime.core.files.setting import settings_of
-from facemime.core.files.writing import locked
-from facemime.core.media.images import write_image
 from facemime.core.puppet.job import HeadFile, PuppetJob
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.takes import performance
@@ -271,7 +271,7 @@ def test_dask_is_imported_only_if_requested():
 def test_a_lock_is_exclusive_and_ends_with_its_process(tmp_path):
     lock, log = tmp_path / "a.lock", tmp_path / "log"
     script = (
-        "import sys, time; from pathlib import Path; from facemime.core.files.writing import locked\n"
+        "import sys, time; from pathlib import Path; from facemime.core.base.writing import locked\n"
         "log = open(sys.argv[2], 'a')\n"
         "for i in range(10):\n"
         "    with locked(Path(sys.argv[1])):\n"

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from facemime.cli import guard
-from facemime.core.errors import SourceError
+from facemime.core.base.errors import SourceError
 from tests.helpers.commands import needs_posix, run
 
 FILE = "/home/ada/head.glb"

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from facemime.cli import main as cli
 from facemime.cli.takes import parse_cutoffs, parse_span
-from facemime.core.errors import FacemimeError, SourceError
+from facemime.core.base.errors import FacemimeError, SourceError
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.mending import bridge_gaps, mirror_take
 from facemime.core.takes.smooth import CUTOFFS

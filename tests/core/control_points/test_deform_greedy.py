@@ -5,15 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.control_points.difference import SkinDifference
-from facemime.core.control_points.greedy import START, greedy_select
-from facemime.core.control_points.select import from_json, parse_landmarks, select_control_points, to_json
-from facemime.core.errors import HeadError, SourceError
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.errors import HeadError, SourceError
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.drive.difference import SkinDifference
+from facemime.core.drive.greedy import START, greedy_select
+from facemime.core.drive.select import from_json, parse_landmarks, select_control_points, to_json
 from facemime.core.heads.built_in import load_head
+from facemime.core.heads.kernels import get_kernel
 from facemime.core.heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from facemime.core.heads.rig import built_in_head
-from facemime.core.mesh.kernels import get_kernel
 from tests.helpers.takes import performance
 
 HEAD = load_head()

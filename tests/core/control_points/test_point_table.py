@@ -3,17 +3,10 @@
 import numpy as np
 import pytest
 
-from facemime.core.control_points.select import from_json, select_control_points, to_json
-from facemime.core.control_points.table import (
-    add_by_hand,
-    draw_curve,
-    drop_by_hand,
-    error_curve,
-    point_rows,
-    region_colours,
-)
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import N_LANDMARKS
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import N_LANDMARKS
+from facemime.core.drive.select import from_json, select_control_points, to_json
+from facemime.core.drive.table import add_by_hand, draw_curve, drop_by_hand, error_curve, point_rows, region_colours
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.rig import HeadRig
 from tests.helpers.takes import performance

@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.drive.rbf import RBFDeformer
 from facemime.core.heads.regions import REGIONS, membership
 
 

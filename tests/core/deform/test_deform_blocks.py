@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.blocks import TOLERANCE, BlockProduct, RegionMatrix
-from facemime.core.mesh.kernels import distances, gaussian
+from facemime.core.drive.blocks import TOLERANCE, BlockProduct, RegionMatrix
+from facemime.core.heads.kernels import distances, gaussian
 
 
 def random_regions(rng: np.random.Generator, count: int, points: int) -> list[RegionMatrix]:

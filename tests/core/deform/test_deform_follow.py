@@ -8,16 +8,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.control_points.greedy import greedy_select
-from facemime.core.control_points.select import from_json, to_json
-from facemime.core.deform.follow import follow_matrix, landmark_covariance
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.errors import SourceError
-from facemime.core.face.landmarks import from_ibug
+from facemime.core.base.errors import SourceError
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.drive.covariance import follow_matrix, landmark_covariance
+from facemime.core.drive.greedy import greedy_select
+from facemime.core.drive.head_deformer import head_deformer
+from facemime.core.drive.select import from_json, to_json
 from facemime.core.heads.built_in import load_head
+from facemime.core.heads.kernels import get_kernel
 from facemime.core.heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from facemime.core.heads.rig import built_in_head
-from facemime.core.mesh.kernels import get_kernel
 
 HEAD = load_head()
 POINTS = HEAD.vertices[HEAD.landmarks].astype(float)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facemime.core.deform.expressions import learn, load_expressions, shipped_expressions, transferred
-from facemime.core.face.landmarks import outer_eye_distance
+from facemime.core.base.landmarks import outer_eye_distance
+from facemime.core.drive.expressions import learn, load_expressions, shipped_expressions, transferred
 from facemime.core.heads.built_in import Head, load_head
 
 PUFF = "cheekPuff"

@@ -8,16 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from facemime.core.binding.bind import bind_landmarks
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import LOWER_LIDS, MIRROR, UPPER_LIDS
-from facemime.core.heads.eye_outline import EYES, eye_outline
-from facemime.core.heads.eyeballs import LID_THICKNESS, EyeballContact, fit_eyeball
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import LOWER_LIDS, MIRROR, UPPER_LIDS
+from facemime.core.drive.head_deformer import head_deformer
+from facemime.core.heads.bind import bind_landmarks
+from facemime.core.heads.eyeballs import EYES, LID_THICKNESS, EyeballContact, eye_outline, fit_eyeball
 from facemime.core.heads.lids import coarse_edges, cut_eye, eyes_joined
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.mesh.surface import SurfaceGraph
+from facemime.core.heads.surface import SurfaceGraph
 from tests.helpers.scans import HEAD, UNIT, cut_apart, padded, scanned
 
 FLIP = np.array([-1.0, 1.0, 1.0])

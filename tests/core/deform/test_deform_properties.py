@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.head_deformer import INFORMED, head_deformer
-from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import MIRROR
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import MIRROR
+from facemime.core.base.rotation import euler_to_matrix
+from facemime.core.drive.head_deformer import INFORMED, head_deformer
+from facemime.core.drive.rbf import IncrementalDeformer, RBFDeformer
+from facemime.core.heads.kernels import KERNELS, distances
 from facemime.core.heads.regions import membership, region_sigmas
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.mesh.kernels import KERNELS, distances
 
 ALL_KERNELS = [INFORMED, *KERNELS]
 RIG = built_in_head()

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from facemime.core.deform.lid_rims import LidRims, lid_rims
-from facemime.core.deform.rbf import RBFDeformer
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, N_LANDMARKS, UPPER_LIDS
+from facemime.core.base.arrays import FloatArray
+from facemime.core.base.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, N_LANDMARKS, UPPER_LIDS
+from facemime.core.drive.lid_rims import LidRims, lid_rims
+from facemime.core.drive.rbf import RBFDeformer
 from facemime.core.heads.regions import membership
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.numeric.arrays import FloatArray
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.deform.skin import skin_covariance
-from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
+from facemime.core.drive.covariance import skin_covariance
+from facemime.core.drive.head_deformer import head_deformer
 from facemime.core.heads.rig import built_in_head
-from facemime.core.mesh.sparse import NestedDissection
+from facemime.core.heads.sparse import NestedDissection
 
 RIG = built_in_head()
 LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]

@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from facemime.core.base.errors import SourceError
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.posing import limit_rotation, limit_vector
-from facemime.core.errors import SourceError
-from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import Neutral, calibrate
-from facemime.core.tracking.mirror import mirror_result
+from facemime.core.tracking.result import mirror_result
 from tests.helpers.takes import performance
 
 angles = st.tuples(*[st.floats(-1.2, 1.2)] * 3)

@@ -10,7 +10,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from facemime.core.files.archives import MAX_BYTES, MAX_MEMBERS, read_archive
+from facemime.core.base.archives import MAX_BYTES, MAX_MEMBERS, read_archive
 
 
 def packed(**arrays) -> bytes:

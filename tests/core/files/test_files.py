@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from facemime.core.errors import OutputError
-from facemime.core.files import writing as files
-from facemime.core.files.locks import holding, lock_of, sweep, temporary_folder
-from facemime.core.files.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
+from facemime.core.base import writing as files
+from facemime.core.base.errors import OutputError
+from facemime.core.base.locks import holding, lock_of, sweep, temporary_folder
+from facemime.core.base.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="permissions and links as POSIX has them")
 
@@ -144,7 +144,7 @@ def test_files_that_cannot_be_replaced_are_reported_before_the_work(tmp_path, mo
 def test_an_output_is_claimed_until_its_process_ends_or_crashes(tmp_path):
     output = tmp_path / "made" / "take.facetake"
     text = (
-        "from facemime.core.files.writing import claimed\n"
+        "from facemime.core.base.writing import claimed\n"
         "with claimed(Path(sys.argv[1])):\n    print('mine', flush=True)\n    sys.stdin.read()"
     )
     for end in ("leave", "kill"):
@@ -166,7 +166,7 @@ def test_an_output_is_claimed_until_its_process_ends_or_crashes(tmp_path):
 
 def test_the_next_run_deletes_only_what_a_killed_one_left(tmp_path):
     text = (
-        "from facemime.core.files.writing import replacing\n"
+        "from facemime.core.base.writing import replacing\n"
         "with replacing(Path(sys.argv[1])) as path:\n    print(path.name, flush=True)\n    time.sleep(600)"
     )
     kept = {".facemime-notes.txt", ".out-abc.mp4", "a.lock", ".facemime-0123456789abcdef.mp4"}
@@ -191,7 +191,7 @@ def test_the_next_run_deletes_the_pictures_of_a_killed_preview(tmp_path, monkeyp
     monkeypatch.setenv("TMPDIR", str(tmp_path))
     monkeypatch.setattr(tempfile, "tempdir", None)
     text = (
-        "from facemime.core.files.locks import temporary_folder\n"
+        "from facemime.core.base.locks import temporary_folder\n"
         "with temporary_folder() as path:\n    (path / 'a.jpg').touch()\n"
         "    print(path, flush=True)\n    time.sleep(600)"
     )
@@ -209,7 +209,7 @@ def test_the_next_run_deletes_the_pictures_of_a_killed_preview(tmp_path, monkeyp
 def test_outputs_are_written_on_file_systems_without_locks(tmp_path, monkeypatch):
     if sys.platform == "win32":
         pytest.skip("it has them")
-    from facemime.core.files import locks
+    from facemime.core.base import locks
 
     def refuse(*_: object) -> None:
         raise OSError(errno.ENOLCK, "No locks available")

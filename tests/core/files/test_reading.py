@@ -9,15 +9,15 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from facemime.core.bake import key_map
-from facemime.core.control_points import select as control_points
-from facemime.core.control_points.greedy import GreedySelection, GreedyStep
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.files import preset_files as presets
-from facemime.core.files.preset_files import file_name
-from facemime.core.files.reading import MAX_TEXT, parse_json, read_bytes, read_text
-from facemime.core.files.setting import Choice, Setting
+from facemime.core.base.errors import OutputError, SourceError
+from facemime.core.base.reading import MAX_TEXT, parse_json, read_bytes, read_text
+from facemime.core.base.setting import Choice, Setting
+from facemime.core.drive import select as control_points
+from facemime.core.drive.greedy import GreedySelection, GreedyStep
+from facemime.core.heads import key_map
 from facemime.core.heads.regions import membership
+from facemime.core.puppet import presets
+from facemime.core.puppet.presets import file_name
 from facemime.core.takes.neutral import Neutral, calibrate
 from tests.helpers.takes import performance
 
@@ -182,7 +182,7 @@ def test_a_file_that_is_too_large_or_not_text_is_refused(tmp_path):
 
 
 def test_landmarks_of_an_endless_range_are_refused_at_once():
-    from facemime.core.errors import HeadError
+    from facemime.core.base.errors import HeadError
 
     for text in ("0-99999999999", "5-" + "9" * 400, "-" + "9" * 5000):
         with pytest.raises(HeadError, match="not a list of landmarks"):

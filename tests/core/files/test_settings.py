@@ -8,10 +8,10 @@ import pytest
 
 from facemime.cli.options import Parser, add_puppet_options, parse, puppet_job
 from facemime.core.bake.bake_settings import BakeSettings
-from facemime.core.deform.head_deformer import INFORMED
+from facemime.core.base.setting import changed, settings_of
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
-from facemime.core.files.setting import changed, settings_of
-from facemime.core.mesh.kernels import KERNELS
+from facemime.core.drive.head_deformer import INFORMED
+from facemime.core.heads.kernels import KERNELS
 from facemime.core.puppet.puppet_settings import PuppetSettings
 
 GROUPS = (DriveSettings, PosingSettings, BakeSettings, PuppetSettings)

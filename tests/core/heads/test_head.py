@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.errors import ModelError
-from facemime.core.face.landmarks import LIPS, MIRROR, from_ibug
+from facemime.core.base.errors import ModelError
+from facemime.core.base.landmarks import LIPS, MIRROR, from_ibug
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, WOMAN_FILE, Head, load_head
 
 SIDED = ["browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"]

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS
+from facemime.core.bake.expression_keys import expression_keys
+from facemime.core.base.landmarks import LOWER_LIDS, UPPER_LIDS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
-from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import built_in_head
-from facemime.core.keys.expression_keys import expression_keys
+from facemime.core.heads.rig import Part, built_in_head
 from tests.helpers.parted_heads import with_parts
 
 

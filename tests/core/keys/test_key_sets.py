@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from facemime.core.bake.key_map import ESSENTIAL, best_preset
-from facemime.core.face.apertures import lid_gaps, lip_gaps
-from facemime.core.face.coefficient_names import COEFFICIENTS
+from facemime.core.bake.expression_keys import expression_keys
+from facemime.core.bake.key_quality import findings, key_qualities
+from facemime.core.bake.key_sets import KEY_SETS
+from facemime.core.base.landmarks import lid_gaps, lip_gaps
+from facemime.core.base.names import COEFFICIENTS
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import built_in_head
+from facemime.core.heads.key_map import ESSENTIAL, best_preset
+from facemime.core.heads.rig import Part, built_in_head
 from facemime.core.heads.slits import SlitContact
-from facemime.core.keys.expression_keys import expression_keys
-from facemime.core.keys.key_quality import findings, key_qualities
-from facemime.core.keys.key_sets import KEY_SETS
-from facemime.core.mesh.intersections import crossing_pairs
+from facemime.core.heads.triangles import crossing_pairs
 from tests.helpers.parted_heads import with_parts
 from tests.helpers.thorough import first_of
 

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.errors import HeadError
-from facemime.core.face.coefficient_names import COEFFICIENTS
-from facemime.core.face.landmarks import outer_eye_distance
+from facemime.core.bake.key_quality import face_from_keys
+from facemime.core.bake.key_sets import KEY_SETS
+from facemime.core.base.errors import HeadError
+from facemime.core.base.landmarks import outer_eye_distance
+from facemime.core.base.names import COEFFICIENTS
 from facemime.core.heads.built_in import load_head
-from facemime.core.keys.key_sets import KEY_SETS
-from facemime.core.keys.keyed_face import face_from_keys
 
 HEAD = load_head()
 SIGNS = list(product((1.0, -1.0), repeat=3))

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from facemime.core.drive.eyes import EyeDriver
-from facemime.core.face.apertures import eye_apertures
-from facemime.core.face.landmarks import from_ibug
-from facemime.core.live.learning import PerformerLearner
+from facemime.core.base.landmarks import eye_apertures, from_ibug
+from facemime.core.drive.posing import EyeDriver
+from facemime.core.puppet.learning import PerformerLearner
 from facemime.core.takes.face_space import load_face_space
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.takes.take import Take

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.core.errors import SourceError
-from facemime.core.live import camera as camera_module
-from facemime.core.live.camera import (
+from facemime.core.base.errors import SourceError
+from facemime.core.puppet import camera as camera_module
+from facemime.core.puppet.camera import (
     Camera,
     CameraName,
     CameraSettings,

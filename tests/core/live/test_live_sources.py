@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import facemime
-from facemime.core.errors import SourceError
-from facemime.core.live.sources import LiveFrame, LiveSource, PacedSource, PicturePlayer, TakePlayer, VideoPlayer
-from facemime.core.media.capture import VideoSource
+from facemime.core.base.capture import VideoSource
+from facemime.core.base.errors import SourceError
+from facemime.core.puppet.sources import LiveFrame, LiveSource, PacedSource, PicturePlayer, TakePlayer, VideoPlayer
 from tests.helpers.clocks import EagerClock
 from tests.helpers.takes import performance
 

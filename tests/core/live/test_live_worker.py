@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 
 import facemime
+from facemime.core.base.capture import VideoSource
+from facemime.core.base.errors import OutputError, SourceError
+from facemime.core.base.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, lid_gaps
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.face.apertures import lid_gaps
-from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.live import worker as worker_module
-from facemime.core.live.calibration import RangeCalibration
-from facemime.core.live.head_drivers import LiveHead
-from facemime.core.live.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
-from facemime.core.live.timing import STAGES, Delays, Stopwatch
-from facemime.core.live.worker import LiveOptions, LiveWorker
-from facemime.core.media.capture import VideoSource
+from facemime.core.puppet import worker as worker_module
+from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.performer import RangeCalibration
+from facemime.core.puppet.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
+from facemime.core.puppet.timing import STAGES, Delays, Stopwatch
+from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.takes.face_space import load_face_space
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker

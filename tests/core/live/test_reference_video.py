@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.live.reference_video import ReferenceVideo
+from facemime.core.puppet.reference_video import ReferenceVideo
 from tests.helpers.clocks import PATIENCE
 
 
@@ -66,7 +66,7 @@ def test_a_killed_process_loses_less_than_a_second_of_video(path):
     code = (
         "import os, sys, time, numpy as np\n"
         "from pathlib import Path\n"
-        "from facemime.core.live.reference_video import ReferenceVideo\n"
+        "from facemime.core.puppet.reference_video import ReferenceVideo\n"
         "video = ReferenceVideo(Path(sys.argv[1]), 25.0)\n"
         "still = np.full((240, 320, 3), 80, np.uint8)\n"
         "for n in range(200):\n"

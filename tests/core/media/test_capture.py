@@ -9,10 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.media import capture
-from facemime.core.media.capture import Frame, VideoSource, at_constant_rate, is_address
-from facemime.core.media.images import read_image, write_image
+from facemime.core.base import capture
+from facemime.core.base.capture import Frame, VideoSource, at_constant_rate, is_address, read_image, write_image
+from facemime.core.base.errors import OutputError, SourceError
 from tests.helpers.turned import turned_clip
 
 

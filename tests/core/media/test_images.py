@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from facemime.cli.main import main
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.live.sources import PicturePlayer
-from facemime.core.media.images import IMAGE_SUFFIXES, read_image, write_image
-from facemime.core.media.picture_size import stated_size
+from facemime.core.base.capture import IMAGE_SUFFIXES, read_image, write_image
+from facemime.core.base.errors import OutputError, SourceError
+from facemime.core.base.media_headers import stated_size
+from facemime.core.puppet.sources import PicturePlayer
 
 
 def encoded(suffix: str, width: int = 53, height: int = 37, *options: int) -> bytes:

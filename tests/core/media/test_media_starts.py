@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.media.media_starts import SOUND, VIDEO, last_image, read_starts, sound_lead
+from facemime.core.base.media_headers import SOUND, VIDEO, last_image, read_starts, sound_lead
 
 
 def box(name: bytes, *content: bytes) -> bytes:

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.numeric import linalg
-from facemime.core.numeric.linalg import multiply
+from facemime.core.base import linalg
+from facemime.core.base.linalg import multiply
 
 ROOT = Path(__file__).resolve().parents[3]
 ROOMS = ("core", "blender", "cli", "settings", "sessions", "operators", "ui")
@@ -86,7 +86,7 @@ def test_small_matrices_are_inverted_as_a_stack() -> None:
 def test_only_scipys_own_blas_is_limited_to_one_thread() -> None:
     code = (
         "from threadpoolctl import threadpool_info\n"
-        "from facemime.core.numeric import linalg\n"
+        "from facemime.core.base import linalg\n"
         "import numpy, sys\n"
         "before = {i['filepath']: i['num_threads'] for i in threadpool_info()}\n"
         "assert 'scipy' not in sys.modules\n"

@@ -5,9 +5,9 @@ from types import SimpleNamespace
 import cv2
 import pytest
 
-from facemime.core.errors import ModelError
-from facemime.core.numeric import opencv
-from facemime.core.numeric.onnx import Node, encode_network
+from facemime.core.base import opencv
+from facemime.core.base.errors import ModelError
+from facemime.core.base.opencv import Node, encode_network
 
 
 def _encoded() -> bytes:

@@ -10,17 +10,16 @@ import pytest
 
 from facemime.cli.main import main
 from facemime.cli.options import Parser, add_preset_option, add_puppet_options, parse, puppet_job
-from facemime.core.control_points.select import from_json, select_control_points
-from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
+from facemime.core.base.errors import HeadError, SourceError
+from facemime.core.base.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.head_deformer import head_deformer
 from facemime.core.drive.motion import drive_take
-from facemime.core.errors import HeadError, SourceError
-from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
-from facemime.core.heads.parts import FaceParts, Part
+from facemime.core.drive.rbf import IncrementalDeformer, RBFDeformer
+from facemime.core.drive.select import from_json, select_control_points
 from facemime.core.heads.regions import LOWER, MIDDLE, membership, sharp_regions
-from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.heads.rig import FaceParts, HeadRig, Part, built_in_head
 from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facemime.core.errors import SourceError
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
-from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.recordings.reading import read_recording
+from facemime.core.base.errors import SourceError
+from facemime.core.base.names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.base.rotation import euler_to_matrix
+from facemime.core.takes.recordings import read_recording
 from tests.helpers.recordings import audio2face, face_cap, openface, unity
 
 OPEN = np.array([0.0, 0.25, 1.0, 0.5])

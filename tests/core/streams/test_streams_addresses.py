@@ -4,8 +4,8 @@ import errno
 
 import pytest
 
-from facemime.core.errors import SourceError
-from facemime.core.streams.transport.addresses import cannot_listen, is_loopback, parse_address
+from facemime.core.base.errors import SourceError
+from facemime.core.streams.addresses import cannot_listen, is_loopback, parse_address
 
 
 @pytest.mark.parametrize(

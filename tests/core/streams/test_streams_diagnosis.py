@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from facemime.core.streams import osc
 from facemime.core.streams.diagnosis import recognise
-from facemime.core.streams.protocols import osc
+from facemime.core.streams.security import write_key
 from facemime.core.streams.sender import SendSettings, StreamSender
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import PROTOCOLS, StreamSettings
-from facemime.core.streams.transport.security import write_key
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from lab.bench.packets import packets
 from tests.helpers.clocks import PATIENCE
 from tests.helpers.links import all_the_time, collected, free_port, performing

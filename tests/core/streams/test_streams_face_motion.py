@@ -5,11 +5,11 @@ import struct
 import numpy as np
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
-from facemime.core.face.rotation import from_face_axes
-from facemime.core.streams.protocols import ifacialmocap
-from facemime.core.streams.protocols.face_motion import REFUSALS, FaceMotionReceiver
-from facemime.core.streams.protocols.frames import PacketError
+from facemime.core.base.names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.base.rotation import from_face_axes
+from facemime.core.streams import ifacialmocap
+from facemime.core.streams.face_motion import REFUSALS, FaceMotionReceiver
+from facemime.core.streams.frames import PacketError
 from tests.helpers.face_motion_packets import (
     ACK_HEX,
     GOOD,

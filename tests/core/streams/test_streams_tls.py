@@ -19,12 +19,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.errors import SourceError
+from facemime.core.base.errors import SourceError
+from facemime.core.streams.addresses import ANSWER, GREETING, LENGTH, MAGIC, VERSION, Pairing, parse_pairing
+from facemime.core.streams.security import der_time, load_identity, renew_identity
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import StreamSettings
-from facemime.core.streams.transport.identity import der_time, load_identity, renew_identity
-from facemime.core.streams.transport.pairing import ANSWER, GREETING, LENGTH, MAGIC, VERSION, Pairing, parse_pairing
-from facemime.core.streams.transport.tls_server import TlsSender
+from facemime.core.streams.tls_server import TlsSender
 from tests.helpers.clocks import PATIENCE, wait_for
 from tests.helpers.links import performing
 from tests.helpers.takes import performance

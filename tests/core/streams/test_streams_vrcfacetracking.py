@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
-from facemime.core.streams.protocols import osc
-from facemime.core.streams.protocols.frames import PacketError
-from facemime.core.streams.protocols.vrcfacetracking import VrcFaceTrackingDecoder
+from facemime.core.base.names import COEFFICIENT_INDEX
+from facemime.core.streams import osc
+from facemime.core.streams.frames import PacketError
+from facemime.core.streams.vrcfacetracking import VrcFaceTrackingDecoder
 from tests.helpers.stream_values import value_of
 
 PREFIX = "/avatar/parameters/v2/"

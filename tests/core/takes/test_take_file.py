@@ -19,11 +19,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import facemime
+from facemime.core.base.errors import OutputError, SourceError
+from facemime.core.base.landmarks import OUTER_EYE_CORNERS
+from facemime.core.base.names import N_ACTIONS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.face.actions import N_ACTIONS
-from facemime.core.face.landmarks import OUTER_EYE_CORNERS
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes import format as layout
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of

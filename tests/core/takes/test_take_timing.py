@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.errors import SourceError
-from facemime.core.face.rotation import euler_to_matrix, mix_rotations
+from facemime.core.base.errors import SourceError
+from facemime.core.base.rotation import euler_to_matrix, mix_rotations
 from facemime.core.takes.take import FIELDS, Take, check_take
 from facemime.core.takes.timing import mix, project, punch_in, resample, sample, shift_time, trim
 from tests.helpers.takes import make_take, performance

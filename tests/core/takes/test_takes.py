@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.files.writing import check_writable, replacing
+from facemime.core.base.errors import OutputError, SourceError
+from facemime.core.base.writing import check_writable, replacing
 from facemime.core.takes.take import TakeRecorder, check_take
 from facemime.core.tracking.result import TrackResult
 

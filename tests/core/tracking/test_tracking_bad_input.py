@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.face.landmarks import EDGES, INNER, N_LANDMARKS
-from facemime.core.numeric.arrays import as_image
+from facemime.core.base.arrays import as_image
+from facemime.core.base.landmarks import EDGES, INNER, N_LANDMARKS
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 from tests.helpers.thorough import first_of

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, UPPER_LIDS
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, UPPER_LIDS
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.tracking.gaze import _BALL, _BALL_RADIUS, find_gaze
 from facemime.core.tracking.tracker import FaceTracker
 

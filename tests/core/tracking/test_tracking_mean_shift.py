@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import N_LANDMARKS
+from facemime.core.base.landmarks import N_LANDMARKS
 from facemime.core.tracking.experts import ResponseMaps
 from facemime.core.tracking.mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel

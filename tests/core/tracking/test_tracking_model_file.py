@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.errors import ModelError
+from facemime.core.base.errors import ModelError
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC, load_model, save_model
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
 

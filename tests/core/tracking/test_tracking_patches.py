@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import MIRROR
+from facemime.core.base.landmarks import MIRROR
 from facemime.core.tracking.patch_experts import CONTRAST_FLOOR, HALF, PATCH, PatchExperts
 
 

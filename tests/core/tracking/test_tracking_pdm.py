@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.face.landmarks import from_ibug
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import from_ibug
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.base.landmarks import LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
+from facemime.core.base.rotation import euler_to_matrix
 from facemime.core.takes.smooth import smooth_take
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.smoothing import SHAPE_PARTS, Cutoffs, OneEuroFilter, ResultSmoother

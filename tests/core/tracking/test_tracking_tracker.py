@@ -11,8 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from facemime.core.errors import FacemimeError
-from facemime.core.face.landmarks import INNER, N_LANDMARKS
+from facemime.core.base.errors import FacemimeError
+from facemime.core.base.landmarks import INNER, N_LANDMARKS
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 

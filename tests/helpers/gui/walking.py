@@ -17,7 +17,7 @@ import sys, threading
 import numpy as np
 package = sys.modules[{MODULE!r}]
 from {MODULE}.sessions.session import Session
-from {MODULE}.core.face.landmarks import from_ibug
+from {MODULE}.core.base.landmarks import from_ibug
 from {MODULE}.blender.meshes import read_landmarks, read_regions, read_selection
 def shown(obj):
     mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
@@ -35,7 +35,7 @@ def workers():
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]
 """
 EVERY_FRAME = f"""
-from {MODULE}.core.live import sources
+from {MODULE}.core.puppet import sources
 class Patient(sources.Clock):
     time = 0.0
     def now(self):

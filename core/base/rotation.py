@@ -1,0 +1,140 @@
+"""Rotations in the head frame: Euler angles, fits between point sets, and interpolation."""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import cv2
+import numpy as np
+
+from . import linalg
+from .arrays import FloatArray
+
+
+def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
+    """Return the rotation matrix of Euler angles, ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
+
+    Parameters
+    ----------
+    pitch, yaw, roll : float
+        Angles in radians; positive pitch looks down, positive yaw turns to the viewer's left.
+
+    Returns
+    -------
+    (3, 3) float64
+        The rotation.
+    """
+    cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
+    return np.array(
+        [
+            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+            [-sy, cy * sx, cy * cx],
+        ]
+    )
+
+
+def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
+    """Return pitch, yaw and roll, |yaw| <= pi / 2, of a rotation, (3, 3); the inverse of `euler_to_matrix`."""
+    yaw = np.arctan2(-rotation[2, 0], np.hypot(rotation[2, 1], rotation[2, 2]))
+    pitch = np.arctan2(rotation[2, 1], rotation[2, 2])
+    roll = np.arctan2(rotation[1, 0], rotation[0, 0])
+    return float(pitch), float(yaw), float(roll)
+
+
+def from_face_axes(x: float, y: float, z: float) -> FloatArray:
+    """Convert angles about the axes of ARKit's face anchor: to the viewer's right, up, and towards the viewer.
+
+    Parameters
+    ----------
+    x, y, z : float
+        Angles in radians; the head turns about z first, then x, then y.
+
+    Returns
+    -------
+    (3,) float64
+        Pitch, yaw and roll in radians, as for `euler_to_matrix`.
+    """
+    turn = euler_to_matrix(0.0, -y, 0.0) @ euler_to_matrix(x, 0.0, 0.0) @ euler_to_matrix(0.0, 0.0, -z)
+    return np.array(matrix_to_euler(turn))
+
+
+def to_face_axes(rotation: FloatArray) -> tuple[float, float, float]:
+    """Return the angles (x, y, z) in radians that `from_face_axes` converts to `rotation`, (3,) pitch, yaw and roll."""
+    turn = euler_to_matrix(*rotation)
+    x = float(np.arctan2(-turn[1, 2], np.hypot(turn[1, 0], turn[1, 1])))
+    return x, -float(np.arctan2(turn[0, 2], turn[2, 2])), -float(np.arctan2(turn[1, 0], turn[1, 1]))
+
+
+def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
+    """Fit a rotation about the origin: minimise ``sum_i |R source_i - target_i|^2``.
+
+    Parameters
+    ----------
+    source : (N, 3) float64
+        Points.
+    target : (N, 3) float64
+        Corresponding points.
+
+    Returns
+    -------
+    (3, 3) float64
+        The rotation R.
+
+    Notes
+    -----
+    Kabsch 1976; the sign of the determinant after Umeyama 1991.
+    """
+    # LAPACK itself: the checks of `linalg.svd` take three times as long as a matrix of this size.
+    u, _, vt, _ = linalg.lapack.dgesdd(target.T @ source)
+    sign = np.sign(cv2.determinant(u @ vt))
+    return np.asarray(u * np.array([1.0, 1.0, sign]) @ vt)
+
+
+def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
+    """Interpolate rotations along the shortest path at constant speed.
+
+    Parameters
+    ----------
+    first, second : (N, 3) float64
+        Position between the two: 0 gives `first`, 1 gives `second`.
+    share : (N,) float64
+        0 gives `first`, 1 gives `second`.
+
+    Returns
+    -------
+    (N, 3) float64
+        Angles with |yaw| <= pi / 2.
+
+    Notes
+    -----
+    Spherical linear interpolation of quaternions (Shoemake 1985).
+    """
+    a, b = _quaternions(first), _quaternions(second)
+    cosine = (a * b).sum(axis=1)
+    b = np.where(cosine[:, None] < 0.0, -b, b)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    near = angle < 1e-6  # here the ratio of the sines tends to the share
+    sine = np.where(near, 1.0, np.sin(angle))
+    of_a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
+    of_b = np.where(near, share, np.sin(share * angle) / sine)
+    w, x, y, z = (of_a[:, None] * a + of_b[:, None] * b).T
+    size = w * w + x * x + y * y + z * z
+    pitch = np.arctan2(2.0 * (w * x + y * z), size - 2.0 * (x * x + y * y))
+    yaw = np.arcsin(np.clip(2.0 * (w * y - z * x) / size, -1.0, 1.0))
+    roll = np.arctan2(2.0 * (w * z + x * y), size - 2.0 * (y * y + z * z))
+    return np.stack([pitch, yaw, roll], axis=1)
+
+
+def _quaternions(angles: FloatArray) -> FloatArray:
+    """Unit quaternions (w, x, y, z), (N, 4), of pitch, yaw and roll, (N, 3)."""
+    (cp, cy, cr), (sp, sy, sr) = np.cos(angles / 2.0).T, np.sin(angles / 2.0).T
+    return np.stack(
+        [
+            cr * cy * cp + sr * sy * sp,
+            cr * cy * sp - sr * sy * cp,
+            cr * sy * cp + sr * cy * sp,
+            sr * cy * cp - cr * sy * sp,
+        ],
+        axis=1,
+    )

@@ -1,1 +1,0 @@
-"""Control points: selected for a take or by hand, and saved (method.md, section 6)."""

@@ -1,0 +1,176 @@
+"""Lids that meet along their whole rims, not only at their landmarks (method.md, section 5.6).
+
+A lid has two landmarks between the corners of the eye. Even if they meet those of the other lid, the rims between them
+may not: on a stylised eye, whose outer third is long and steep, a wide gap remains. Its width follows from the mesh at
+rest, so the matrix of the deformer is corrected once, and a frame costs no more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base.arrays import FloatArray, IntArray
+from ..base.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
+from ..heads.surface import NearestPoints, SurfaceGraph
+from .blocks import RegionMatrix
+
+_NEAR = 0.15
+"""Margin around the landmarks of an eye, in outer-eye distances, within which its rims and its lid are sought."""
+_REACH = 0.12
+"""Distance from the rim, in outer-eye distances, within which the lid follows it."""
+_NEIGHBOURS = 8
+_BLUR = 0.01
+"""Number of vertices of the rim that the skin beside it follows, and the distance, in outer-eye distances, below which
+they count alike."""
+_MOST = 0.5
+"""Largest correction relative to the opening of the eye, in case a rim is not where its landmarks say."""
+_SHUT = 0.01
+"""Opening of a lid in outer-eye distances below which the eye counts as modelled shut."""
+
+Response = Callable[[NDArray[np.intp]], FloatArray]
+"""Returns rows of the matrix of a deformer, (N, 66), for vertices (N,)."""
+
+
+@dataclass(frozen=True)
+class LidRims:
+    """The rims of an eye, and the skin of its upper lid.
+
+    Attributes
+    ----------
+    landmarks : (6,) intp
+        Landmarks of the eye in iBUG's order: a corner, the upper lid, the other corner, the lower lid.
+    places : (V, 3) float64
+        Vertices at rest.
+    points : (66, 3) float64
+        Landmarks at rest.
+    upper, lower : (N,), (M,) intp
+        Vertices of the rims from the first corner to the second.
+    upper_at, lower_at : (N,), (M,) float64
+        Their positions along the rim: 0 at the first corner, 1 and 2 at the landmarks, 3 at the second corner.
+    rows : (R,) intp
+        Vertices that are corrected.
+    nearest : (R, K) intp
+        Indices into `upper` that each of them follows.
+    spread : (R, K) float64
+        Their weights.
+    """
+
+    landmarks: NDArray[np.intp]
+    places: FloatArray
+    points: FloatArray
+    upper: NDArray[np.intp]
+    lower: NDArray[np.intp]
+    upper_at: FloatArray
+    lower_at: FloatArray
+    rows: NDArray[np.intp]
+    nearest: NDArray[np.intp]
+    spread: FloatArray
+
+    def correction(self, response: Response) -> RegionMatrix:
+        """Compute what a deformer lacks so that the rims meet when the landmarks do.
+
+        Parameters
+        ----------
+        response : callable
+            Returns rows of the deformer's matrix, (N, 66), for vertices (N,).
+
+        Returns
+        -------
+        RegionMatrix
+            A matrix to be added to that of the deformer.
+
+        Notes
+        -----
+        Let the landmarks of the upper lid move onto those of the lower one, by g_1 and g_2. A vertex of the upper rim
+        then lacks r along them to reach the place of the lower rim that corresponds to it. It moves by (equation 5.8)
+        ``sum_j r w_j / |g_j| (d_j - e_j)`` in addition, where d_j and e_j are the displacements of the landmarks of the
+        upper and the lower lid, and w_j is the weight of the pair at its position along the rim.
+        """
+        upper, lower = self.landmarks[[1, 2]], self.landmarks[[5, 4]]
+        gaps = self.points[lower] - self.points[upper]
+        sizes = np.linalg.norm(gaps, axis=1)
+        down = gaps.sum(axis=0) / np.linalg.norm(gaps.sum(axis=0))
+
+        def closed(vertices: NDArray[np.intp]) -> FloatArray:
+            return np.asarray(self.places[vertices] + response(vertices)[:, upper] @ gaps)
+
+        # Where both rims come to lie when the landmarks of the upper lid meet those of the lower; the lower rim is
+        # sampled at the positions of the upper one.
+        rim = closed(self.lower)
+        wanted = np.stack([np.interp(self.upper_at, self.lower_at, rim[:, i]) for i in range(3)], axis=1)
+        most = _MOST * float(sizes.mean())
+        lacking = np.clip((wanted - closed(self.upper)) @ down, -most, most)
+        # w_1 and w_2 of equation 5.8: linear between the landmarks at 1 and 2, constant towards the corners.
+        second = np.clip(self.upper_at - 1.0, 0.0, 1.0)
+        share = lacking[:, None] * np.stack([1.0 - second, second], axis=1) / sizes
+        moved = (self.spread[:, None] @ share[self.nearest])[:, 0].astype(np.float32)
+        return RegionMatrix(self.rows, np.concatenate([upper, lower]), np.concatenate([moved, -moved], axis=1))
+
+
+def lid_rims(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[LidRims]:
+    """Find the rims of both eyes, except those that are modelled shut or joined to their lids.
+
+    Parameters
+    ----------
+    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
+        As in `HeadRig`; any frame.
+
+    Returns
+    -------
+    list of LidRims
+        One for each open eye.
+    """
+    places = np.asarray(vertices, dtype=np.float64)
+    points = places[landmarks]
+    unit = outer_eye_distance(points)
+    # Only skin of the upper region moves with the upper lid.
+    shares = np.asarray(region_weights, dtype=np.float64)
+    above = shares[0] / np.maximum(shares.sum(axis=0), 1e-9)
+    found = []
+    for eye in (EYE_RIGHT, EYE_LEFT):
+        if np.linalg.norm(points[eye[[5, 4]]] - points[eye[[1, 2]]], axis=1).min() < _SHUT * unit:
+            continue
+        low, high = points[eye].min(axis=0) - _NEAR * unit, points[eye].max(axis=0) + _NEAR * unit
+        near = np.flatnonzero(((places > low) & (places < high)).all(axis=1))
+        graph, own = _part(places, np.asarray(faces), near)
+        ends = own[landmarks[eye]]
+        (upper, upper_at), (lower, lower_at) = (_rim(graph, ends[lid]) for lid in ([0, 1, 2, 3], [0, 5, 4, 3]))
+        if np.isin(upper[1:-1], lower[1:-1]).any():
+            continue
+        # The lid follows its rim, which is met exactly, and fades into the brow and the other lid.
+        rim = NearestPoints(places[near[upper]])
+        nearest, squared = rim.query(places[near], min(_NEIGHBOURS, len(upper)))
+        share = above[near] * np.square(np.maximum(1.0 - squared[:, 0] / (_REACH * unit) ** 2, 0.0))
+        share[upper] = 1.0
+        lid = np.flatnonzero(share)
+        spread = 1.0 / np.square(squared[lid] + (_BLUR * unit) ** 2)
+        spread *= (share[lid] / spread.sum(axis=1))[:, None]
+        on_rim = np.searchsorted(lid, upper)
+        spread[on_rim], nearest[upper, 0] = np.eye(1, spread.shape[1]), np.arange(len(upper))
+        found.append(
+            LidRims(eye, places, points, near[upper], near[lower], upper_at, lower_at, near[lid], nearest[lid], spread)
+        )
+    return found
+
+
+def _part(places: FloatArray, faces: IntArray, kept: NDArray[np.intp]) -> tuple[SurfaceGraph, NDArray[np.intp]]:
+    """Graph of the vertices `kept` and the faces between them, and the number of each vertex in it, -1 outside."""
+    own = np.full(len(places) + 1, -1)
+    own[kept] = np.arange(len(kept))
+    inside = own[faces]
+    return SurfaceGraph(places[kept], inside[((inside >= 0) | (faces < 0)).all(axis=1)]), own
+
+
+def _rim(graph: SurfaceGraph, ends: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray]:
+    """Vertices of the path through four landmarks, and their positions along it, 0 to 3."""
+    rim, at = [int(ends[0])], [0.0]
+    for section in range(3):
+        path = graph.path(int(ends[section]), int(ends[section + 1]))
+        steps = np.linalg.norm(np.diff(graph.vertices[path], axis=0), axis=1)
+        rim += path[1:]
+        at += (section + np.cumsum(steps) / max(float(steps.sum()), 1e-12)).tolist()
+    return np.array(rim), np.array(at)

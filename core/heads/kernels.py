@@ -1,0 +1,237 @@
+"""Kernels: how far, and how smoothly, a control point moves its surroundings (method.md, section 5.2); warps of space,
+by which given points move to others (section 7.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..base import linalg
+from ..base.arrays import FloatArray, as_points
+from ..base.errors import HeadError
+
+_WIDE = 3.0
+"""Sigma of the wide Gaussian over that of the narrow one. Like the spacings in `KERNELS`, tuned on ICT-FaceKit and the
+built-in head (docs/accuracy/deformation.md)."""
+_NARROW_SHARE = 0.46
+"""Share of the narrow Gaussian, tuned on the same heads."""
+_CHUNK = 4_000
+
+
+@dataclass(frozen=True)
+class Kernel:
+    """A function of distance r and width sigma that is 1 at r = 0.
+
+    Attributes
+    ----------
+    name : str
+        Key in `KERNELS`.
+    phi : callable
+        ``phi(distances, sigma)`` returns values of the same shape.
+    spacing : float
+        Sigma over the spacing of the control points, before the factor of a region. 0 if the kernel has no width; sigma
+        is then twice the extent of the control points.
+    """
+
+    name: str
+    phi: Callable[[FloatArray, float], FloatArray]
+    spacing: float
+
+    def width(self, between: FloatArray, factor: float) -> float:
+        """Choose sigma from the spacing of control points.
+
+        Parameters
+        ----------
+        between : (P, P) float64
+            Distances between the control points.
+        factor : float
+            Factor of the region, `Region.spacing_factor`.
+
+        Returns
+        -------
+        float
+            Sigma, in the unit of the distances.
+
+        Notes
+        -----
+        The spacing is the median distance to the third nearest neighbour. The distance to the nearest would be
+        dominated by pairs on opposite lips.
+        """
+        if len(between) == 1:
+            return 1.0
+        if self.spacing == 0.0:
+            return 2.0 * float(between.max())
+        rank = min(3, len(between) - 1)
+        return self.spacing * factor * float(np.median(np.sort(between, axis=1)[:, rank]))
+
+
+def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
+    """Gaussian kernel, ``exp(-r^2 / (2 sigma^2))``: equation 2 of Yao et al. 2019.
+
+    Parameters
+    ----------
+    sigma : float
+        Width, in the unit of the distances.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+    """
+    return np.asarray(np.exp(np.square(distance) * (-0.5 / (sigma * sigma))))
+
+
+def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
+    """Sum of a Gaussian and one three times as wide: detail near the landmarks, and no gap where they are far apart.
+
+    Parameters
+    ----------
+    sigma : float
+        Width of the narrow Gaussian, in the unit of the distances.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    Landmarks are dense on lids and lips and sparse on the cheeks. A single Gaussian that suits lids and lips leaves the
+    middle of the cheek behind. A sum of Gaussians is positive definite because its terms are (Opfer 2006; Luethi et al.
+    2018).
+    """
+    return _NARROW_SHARE * gaussian(distance, sigma) + (1.0 - _NARROW_SHARE) * gaussian(distance, _WIDE * sigma)
+
+
+def wendland(distance: FloatArray, sigma: float) -> FloatArray:
+    """Wendland's C2 function, ``(1 - r / R)^4 (4 r / R + 1)`` below ``R = 4 sigma`` and 0 beyond.
+
+    Parameters
+    ----------
+    sigma : float
+        A quarter of the radius of the support, in the unit of the distances.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    Wendland 1995; compactly supported, and positive definite in three dimensions.
+    """
+    r = np.minimum(distance / (4.0 * sigma), 1.0)
+    return np.asarray((1.0 - r) ** 4 * (4.0 * r + 1.0))
+
+
+def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
+    """Biharmonic kernel of three dimensions, -r, as ``1 - r / sigma``.
+
+    Parameters
+    ----------
+    sigma : float
+        Scale, in the unit of the distances; it has to exceed the extent of the control points.
+
+    Returns
+    -------
+    ndarray
+        Values of the shape of `distance`.
+
+    Notes
+    -----
+    -r is conditionally positive definite; shifted by the constant it is positive definite on the control points
+    (Micchelli 1986).
+    """
+    return np.asarray(1.0 - distance / sigma)
+
+
+KERNELS: dict[str, Kernel] = {
+    kernel.name: kernel
+    for kernel in (
+        Kernel("gaussian", gaussian, 1.0),
+        Kernel("multiscale", multiscale, 0.77),
+        Kernel("wendland", wendland, 1.0),
+        Kernel("biharmonic", biharmonic, 0.0),
+    )
+}
+
+
+def get_kernel(name: str) -> Kernel:
+    """Return a kernel by name; HeadError if the name is unknown."""
+    if name not in KERNELS:
+        raise HeadError("There is no kernel {name!r}. Choose one of {known}.", name=name, known=", ".join(KERNELS))
+    return KERNELS[name]
+
+
+def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
+    """Compute the distances between two sets of points.
+
+    Parameters
+    ----------
+    a : (N, 3) float64
+        Points.
+    b : (M, 3) float64
+        Points.
+
+    Returns
+    -------
+    (N, M) float64
+        Distances, in the unit of the points.
+    """
+    squared = np.asarray(a @ (-2.0 * b.T))
+    # Added by coordinates, as numpy is slow along short axes.
+    squared += sum((a * a).T)[:, None]
+    squared += sum((b * b).T)
+    return np.asarray(np.sqrt(np.maximum(squared, 0.0, out=squared), out=squared))
+
+
+class Warp:
+    """The smoothest map of space that takes the `source` points to the `target` points.
+
+    Parameters
+    ----------
+    source, target : (P, 3) array
+        Corresponding points.
+    smoothing : float or (P,) array
+        Added to the diagonal, as a share of the extent of the source, so that points may be missed; 0 meets all.
+
+    Raises
+    ------
+    HeadError
+        If the source points lie in one plane.
+
+    Notes
+    -----
+    A biharmonic spline in three dimensions (equation 7.1): kernel -r and an affine map (Duchon 1977; Bookstein 1989).
+    """
+
+    def __init__(self, source: FloatArray, target: FloatArray, smoothing: float | FloatArray = 1e-3) -> None:
+        self._source = as_points(source, "source", error=HeadError)
+        goal = as_points(target, "target", count=len(self._source), error=HeadError)
+        count = len(self._source)
+        extent = float(np.linalg.norm(np.ptp(self._source, axis=0)))
+        affine = np.column_stack([np.ones(count), self._source])
+        # Interpolation conditions, and below them the side conditions that make the weights orthogonal to affine maps.
+        system = np.zeros((count + 4, count + 4))
+        system[:count, :count] = -distances(self._source, self._source)
+        system[np.arange(count), np.arange(count)] += smoothing * extent
+        system[:count, count:], system[count:, :count] = affine, affine.T
+        try:
+            self._weights = linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))
+        except np.linalg.LinAlgError as error:
+            raise HeadError("The landmarks lie in one plane. Bind them again.") from error
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Return the warped `points`, (N, 3)."""
+        count = len(self._source)
+        out = np.empty((len(points), 3))
+        for start in range(0, len(points), _CHUNK):
+            part = np.asarray(points[start : start + _CHUNK], dtype=np.float64)
+            affine = np.column_stack([np.ones(len(part)), part])
+            out[start : start + _CHUNK] = affine @ self._weights[count:]
+            out[start : start + _CHUNK] -= distances(part, self._source) @ self._weights[:count]
+        return out

@@ -1,1 +1,0 @@
-"""Geometry of meshes: surfaces, kernels, warps, sparse systems and nearest points."""

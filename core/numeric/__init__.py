@@ -1,1 +1,0 @@
-"""Arrays and their checks, linear algebra, and networks that OpenCV runs."""

@@ -1,0 +1,132 @@
+"""Background threads of senders and servers, which a session starts, feeds with frames, and ends."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import threading
+from abc import abstractmethod
+from collections.abc import Callable
+from contextlib import suppress
+
+from ..base.closing import Closing
+from .addresses import cannot_listen, resolve
+
+_ENDING = 5.0
+"""Seconds that `close` waits for a thread."""
+
+
+def listening(host: str, port: int, waiting: int) -> socket.socket:
+    """Listen on an address.
+
+    Parameters
+    ----------
+    host : str
+        Name or address of this computer.
+    port : int
+        Port; 0 for any free one.
+    waiting : int
+        Number of connections that may wait to be accepted.
+
+    Returns
+    -------
+    socket.socket
+        Socket that does not block.
+
+    Raises
+    ------
+    SourceError
+        If the address cannot be listened on.
+    """
+    family, address = resolve(host, port)
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        if os.name == "posix":  # on Windows, it lets another program listen on the same port
+            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.setblocking(False)
+        listener.bind(address)
+        listener.listen(waiting)
+    except OSError as error:
+        listener.close()
+        raise cannot_listen(host, port, error) from error
+    return listener
+
+
+class Connecting(Closing):
+    """A thread that connects to another program, again and again, and sends new data, until `close`.
+
+    `_news` guards the data that the thread shares with others, and is notified of every change.
+
+    Parameters
+    ----------
+    name : str
+        Name of the thread.
+    pause : float
+        Seconds between two attempts.
+
+    Attributes
+    ----------
+    sent : int
+        Number of frames sent, of all heads together.
+    message : str
+        Reason why nothing is sent; otherwise "".
+    """
+
+    def __init__(self, name: str, pause: float) -> None:
+        self.sent, self.message = 0, ""
+        self._pause, self._over = pause, False
+        self._news = threading.Condition()
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+
+    def close(self) -> None:
+        """End the thread. May be called twice."""
+        with self._news:
+            self._over = True
+            self._news.notify()
+        self._thread.join(_ENDING)
+
+    @abstractmethod
+    def _connect(self) -> None:
+        """Connect, and send until the connection is lost or `_over` is set; errors become a message."""
+
+    def _work(self) -> None:
+        while not self._over:
+            self._connect()
+            with self._news:
+                self._news.wait_for(lambda: self._over, self._pause)
+
+
+class Serving(Closing):
+    """An event loop in its own thread, until `close`.
+
+    Parameters
+    ----------
+    name : str
+        Name of the thread.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()
+        self._thread = threading.Thread(target=self._work, name=name, daemon=True)
+
+    def close(self) -> None:
+        """End the server. May be called twice."""
+        self._call(self._over.set)
+        self._thread.join(_ENDING)
+
+    @abstractmethod
+    async def _run(self) -> None:
+        """Serve until `_over` is set; runs in the thread."""
+
+    def _call(self, task: Callable[[], object]) -> None:
+        """Call a function in the thread, unless the thread has ended."""
+        with suppress(RuntimeError):
+            self._loop.call_soon_threadsafe(task)
+
+    def _work(self) -> None:
+        asyncio.set_event_loop(self._loop)
+        try:
+            self._loop.run_until_complete(self._run())
+        finally:
+            self._loop.close()

@@ -1,1 +1,0 @@
-"""Protocols of other programs, and the frame that all are decoded to; no sockets."""

@@ -1,1 +1,0 @@
-"""Addresses, datagrams, signatures, certificates and sessions."""
