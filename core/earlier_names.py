@@ -1,17 +1,16 @@
-"""Modules of `core` under their names of version 0.1.0, for programs that import them, until 1.0."""
+"""Modules of a package under their names of version 0.1.0, for programs that import them, until 1.0."""
 
 from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-_CORE = __name__.rpartition(".")[0]
-_PACKAGES = {
+PACKAGES = {
     "binding": "heads",
     "control_points": "drive",
     "deform": "drive",
@@ -20,7 +19,7 @@ _PACKAGES = {
     "recordings": "takes",
 }
 """Names of packages below `core`: earlier ones, and those that have their modules today."""
-_MODULES = {
+MODULES = {
     "bake.arkit": "bake.observation",
     "bake.bake_settings": "bake.settings",
     "bake.coefficients": "bake.coefficient_model",
@@ -98,30 +97,44 @@ _MODULES = {
     "viewer.viewer_settings": "viewer.qr viewer.settings",
 }
 """Names of modules below `core`: those of today, and the earlier ones of each, besides those with another package."""
-_MOVED = {earlier: today for today, names in _MODULES.items() for earlier in names.split()} | _PACKAGES
-
-
-def _today(name: str) -> str:
-    """Return the name of today of a module below `core` or a package, given an earlier one; "" for any other name."""
-    package, _, module = name.partition(".")
-    return _MOVED.get(name) or (f"{_PACKAGES[package]}.{module}" if package in _PACKAGES else "")
 
 
 class EarlierNames(MetaPathFinder, Loader):
-    """Finds a module under its earlier name; it is the same module."""
+    """Finds modules under their earlier names; they are the same modules.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    root : str
+        Name of the package to which all names are relative.
+    modules : mapping of str to str
+        The earlier names of modules, separated by spaces, by that of today.
+    packages : mapping of str to str
+        Names of today of packages by their earlier ones; all their other modules keep their names.
+    """
+
+    def __init__(self, root: str, modules: Mapping[str, str], packages: Mapping[str, str]) -> None:
+        self.moved = {earlier: today for today, names in modules.items() for earlier in names.split()} | dict(packages)
+        self._root, self._packages = f"{root}.", packages
         self._specs: dict[str, ModuleSpec | None] = {}
+
+    def today(self, fullname: str) -> str:
+        """Return the name of today of a module or package, given an earlier one; "" for any other name."""
+        name = fullname.removeprefix(self._root)
+        package, _, module = name.partition(".")
+        if name == fullname or (name not in self.moved and package not in self._packages):
+            return ""
+        today = self.moved[name] if name in self.moved else f"{self._packages[package]}.{module}"
+        return f"{self._root}{today}".replace("..", ".").rstrip(".")
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
         """Return the specification of a module that has another name now."""
-        return ModuleSpec(fullname, self) if _today(fullname.removeprefix(f"{_CORE}.")) else None
+        return ModuleSpec(fullname, self) if self.today(fullname) else None
 
     def create_module(self, spec: ModuleSpec) -> ModuleType:
         """Import the module of today."""
-        today = f"{_CORE}.{_today(spec.name.removeprefix(f'{_CORE}.'))}"
+        today = self.today(spec.name)
         warnings.warn(f"{spec.name} is now {today}", DeprecationWarning, stacklevel=2)
         module = import_module(today)
         self._specs[today] = module.__spec__
@@ -132,7 +145,7 @@ class EarlierNames(MetaPathFinder, Loader):
         module.__spec__ = self._specs.pop(module.__name__)
 
 
-def install() -> None:
-    """Let programs import modules under their earlier names."""
+def install(root: str, modules: Mapping[str, str], packages: Mapping[str, str]) -> None:
+    """Let programs import modules under their earlier names; the parameters are those of `EarlierNames`."""
     # First, as a package that has taken in another would otherwise load that one's modules a second time.
-    sys.meta_path.insert(0, EarlierNames())
+    sys.meta_path.insert(0, EarlierNames(root, modules, packages))
