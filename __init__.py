@@ -16,17 +16,17 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .core.bake.arkit import arkit_coefficients
-    from .core.bake.basis import fit_basis
     from .core.bake.fit import fit_keys
-    from .core.bake.key_map import KeyMap, KeyRow
-    from .core.binding.head import bind_head
+    from .core.bake.reduction import fit_basis
     from .core.control_points.select import select_control_points
     from .core.deform.head_deformer import head_deformer
     from .core.deform.rbf import RBFDeformer
     from .core.drive.drive_settings import DriveSettings
     from .core.drive.driver import HeadDriver, HeadFrame
     from .core.errors import FacemimeError
-    from .core.face.coefficient_names import COEFFICIENTS
+    from .core.face.names import COEFFICIENTS
+    from .core.heads.bind import bind_head
+    from .core.heads.key_map import KeyMap, KeyRow
     from .core.heads.regions import REGIONS
     from .core.heads.rig import HeadRig, built_in_head
     from .core.takes.file import load_take, save_take
@@ -38,25 +38,25 @@ if TYPE_CHECKING:
     from .core.tracking.tracker import FaceTracker
 
 _PLACES = {
-    "COEFFICIENTS": "face.coefficient_names",
+    "COEFFICIENTS": "face.names",
     "DriveSettings": "drive.drive_settings",
     "FaceTracker": "tracking.tracker",
     "FacemimeError": "errors",
     "HeadDriver": "drive.driver",
     "HeadFrame": "drive.driver",
     "HeadRig": "heads.rig",
-    "KeyMap": "bake.key_map",
-    "KeyRow": "bake.key_map",
+    "KeyMap": "heads.key_map",
+    "KeyRow": "heads.key_map",
     "Neutral": "takes.neutral",
     "RBFDeformer": "deform.rbf",
     "REGIONS": "heads.regions",
     "Take": "takes.take",
     "TrackResult": "tracking.result",
     "arkit_coefficients": "bake.arkit",
-    "bind_head": "binding.head",
+    "bind_head": "heads.bind",
     "built_in_head": "heads.rig",
     "calibrate": "takes.neutral",
-    "fit_basis": "bake.basis",
+    "fit_basis": "bake.reduction",
     "fit_keys": "bake.fit",
     "head_deformer": "deform.head_deformer",
     "load_take": "takes.file",

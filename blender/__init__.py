@@ -1,0 +1,25 @@
+"""Everything that is done in Blender, for windows and the command alike."""
+
+if __name__ == "facemime.blender":  # the library; nothing else imports the extension's modules
+    from ..core.earlier_names import install
+
+    install(
+        __name__,
+        {
+            "animation.bake": "animation.placed",
+            "animation.bake_keys": "animation.key_drivers animation.standing",
+            "animation.conflicts": "animation.overruled animation.underneath",
+            "animation.exporting": "animation.bake_cache animation.gltf media.saving",
+            "animation.live_keys": "animation.live_values",
+            "animation.sampling": "animation.animated_keys",
+            "contexts": "undo",
+            "fcurves": "shared_actions tracks",
+            "heads.keyed": "heads.vrm",
+            "heads.new_heads": "heads.built_in heads.facegen",
+            "heads.openings": "heads.eyes heads.lips",
+            "heads.placing": "heads.landmark_places",
+            "reference": "media.sound",
+            "view_layers": "collections placement",
+        },
+        packages={"media": ""},
+    )

@@ -18,9 +18,9 @@ from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ..core.errors import HeadError
-from ..core.heads.bones import FaceBones
 from ..core.heads.eyeballs import sphere_of_lids
-from ..core.heads.parts import FaceParts, Part
+from ..core.heads.part_names import FaceBones
+from ..core.heads.rig import FaceParts, Part
 from ..core.numeric import linalg
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
 from .meshes import can_be_driven, driven_by_keys, mesh_of, posed_bones, read_faces, read_vertices, rest_bones

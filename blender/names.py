@@ -31,7 +31,7 @@ PARTS_PROPERTY = "facemime_parts"
 """Custom property of a head: its child objects, by a key of `PART_OBJECTS`."""
 
 PART_ATTRIBUTE = "facemime_part"
-"""Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.parts.Part`."""
+"""Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.rig.Part`."""
 
 HEAD_PROPERTY = "facemime_head"
 """Custom property of another mesh of a face: the head to which it belongs."""

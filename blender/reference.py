@@ -10,7 +10,7 @@ import numpy as np
 from mathutils import Vector
 
 from ..core.errors import SourceError
-from ..core.media.capture import VideoSource
+from ..core.files.capture import VideoSource
 from .actions import Curve, write_curves
 from .names import TAKE_PROPERTY
 from .timeline import rate_of

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.errors import OutputError, SourceError
+from ..core.files.capture import VideoSource, require_utf8_name
 from ..core.files.locks import temporary_folder
 from ..core.files.writing import replacing
-from ..core.media.capture import VideoSource, require_utf8_name
 from .contexts import showing_scene
 from .preview_scene import set_shading
 from .reference import strips_of

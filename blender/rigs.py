@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from ..core.face.landmarks import OUTER_EYE_CORNERS
 from ..core.heads.eyeballs import fit_eyeball
-from ..core.heads.parts import same_parts
 from ..core.heads.regions import membership
-from ..core.heads.rig import HeadRig, jaw_pivot_of
+from ..core.heads.rig import HeadRig, jaw_pivot_of, same_parts
 from ..core.numeric.arrays import FloatArray
 from .characters import part_eyeballs, read_parts
 from .frames import from_blender

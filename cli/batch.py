@@ -10,9 +10,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from ..core.errors import FacemimeError, SourceError
+from ..core.files.capture import VideoSource
 from ..core.files.locks import lock_of, sweep
 from ..core.files.writing import check_writable, locked
-from ..core.media.capture import VideoSource
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take

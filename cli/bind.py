@@ -7,9 +7,9 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from ..core.binding.bind import MARKS, MIN_MARKS
+from ..core.bake.key_sets import KEY_SETS
 from ..core.errors import FacemimeError
-from ..core.keys.key_sets import KEY_SETS
+from ..core.heads.bind import MARKS, MIN_MARKS
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from ..core.takes.file import load_take
 from .console import for_terminal, say, tell

@@ -25,13 +25,13 @@ from ..blender.heads.keyed import bind_keys, driven_by_its_keys, known_set
 from ..blender.meshes import driven_by_keys, mesh_of, object_of, read_landmarks, read_vertices
 from ..blender.preview_scene import face_points, setup_preview
 from ..blender.rendering import render_frames
-from ..core.bake.key_map import ESSENTIAL
-from ..core.binding.bind import Binding
+from ..core.bake.key_sets import KeySet
 from ..core.errors import HeadError
 from ..core.face.landmarks import EDGES, from_ibug
-from ..core.heads.parts import PART_NAMES
-from ..core.keys.key_sets import KeySet
-from ..core.media.images import write_image
+from ..core.files.capture import write_image
+from ..core.heads.bind import Binding
+from ..core.heads.key_map import ESSENTIAL
+from ..core.heads.rig import PART_NAMES
 from ..core.numeric.arrays import FloatArray
 from ..core.puppet.job import HeadFile
 from ..core.takes.take import Take

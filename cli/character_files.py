@@ -18,12 +18,12 @@ from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.meshes import can_be_driven
 from ..blender.rendering import quiet, set_rate
-from ..core.binding.bind import Binding
 from ..core.errors import FacemimeError, HeadError, SourceError
+from ..core.files.capture import check_readable, require_utf8_name
 from ..core.files.locks import temporary_folder
-from ..core.media.capture import check_readable, require_utf8_name
+from ..core.heads.bind import Binding
+from ..core.heads.character_files import gltf_of, rate_of_file
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
-from ..core.takes.file_rate import gltf_of, rate_of_file
 from .console import tell
 from .guard import limited
 from .stopping import STOPPING

@@ -22,9 +22,9 @@ import numpy as np
 
 from ..core.errors import DataError, SourceError
 from ..core.files.assets import version
+from ..core.files.capture import check_readable, require_utf8_name
 from ..core.files.reading import as_integer, as_list, as_number, as_object, parse_json, read_text, shown
 from ..core.files.writing import reason_of, replacing
-from ..core.media.capture import check_readable, require_utf8_name
 from ..core.puppet.job import PuppetJob
 from ..core.takes.take import Take
 from ..core.tracking.tracker import FaceTracker

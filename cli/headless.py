@@ -22,14 +22,13 @@ from ..blender.preview_scene import FaceView, face_view, setup_preview
 from ..blender.rendering import render_frames, set_rate, without_subdivision, write_video
 from ..blender.timeline import frames_of
 from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
-from ..core.bake.key_map import ESSENTIAL, load_map
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
 from ..core.drive.motion import select_distinct_frames
 from ..core.errors import OutputError, SourceError
+from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
 from ..core.files.reading import read_text
-from ..core.media.capture import Frame, VideoSource, at_constant_rate, check_readable
-from ..core.media.images import write_image
+from ..core.heads.key_map import ESSENTIAL, load_map
 from ..core.puppet.job import PuppetJob
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from ..core.errors import FacemimeError, Message, SourceError
+from ..core.files.capture import check_readable, require_file
 from ..core.files.writing import check_distinct, check_writable, claimed, free_name, settle
-from ..core.media.capture import check_readable, require_file
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.from_video import track_video
 from ..core.takes.take import Take

@@ -13,9 +13,8 @@ import numpy as np
 
 from ..core.errors import OutputError, SourceError
 from ..core.face.landmarks import N_LANDMARKS
+from ..core.files.capture import IMAGE_SUFFIXES, check_readable, read_image, write_image
 from ..core.files.writing import check_writable, reason_of, replacing
-from ..core.media.capture import check_readable
-from ..core.media.images import IMAGE_SUFFIXES, read_image, write_image
 from ..core.tracking.overlay import draw_landmarks
 from ..core.tracking.tracker import FaceTracker
 from ..core.tracking.tracking_settings import TrackingSettings

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING
 
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
-from ..core.live.head_drivers import LiveHead
-from ..core.live.worker import LiveWorker
+from ..core.puppet.head_drivers import LiveHead
 from ..core.puppet.job import HeadFile
+from ..core.puppet.worker import LiveWorker
 from ..core.streams.sender import SENT, VTUBE_STUDIO, StreamSender
 from ..core.streams.stream_settings import EXPRESSIONS, OWN, SendSettings
 from ..core.streams.transport.addresses import LOOPBACK, parse_address
-from ..core.streams.transport.pairing import PORT as TLS_PORT
+from ..core.streams.transport.addresses import PORT as TLS_PORT
 from ..core.streams.vertices import VERTICES, VertexSender
-from ..core.viewer.qr import as_text, qr_code
-from ..core.viewer.viewer_settings import PORT, ViewerSettings, kept_token
+from ..core.viewer.viewer_settings import PORT, ViewerSettings, as_text, kept_token, qr_code
 from .console import Progress, say, tell
 from .options import Commands, add_command, add_key_option, filled
 from .performance import LivePerformance, add_head_option, add_source, head_to_show, watch
@@ -190,7 +189,7 @@ def _user_settings() -> Path:
 
 def _open_server(job: _SendJob, address: str) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
-    from ..core.streams.transport.identity import load_identity
+    from ..core.streams.transport.security import load_identity
     from ..core.streams.transport.tls_server import TlsSender  # its libraries would delay the other commands
 
     if job.tls is None:

@@ -17,10 +17,10 @@ from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.errors import FacemimeError, Message, SourceError
 from ..core.files.reading import shown
 from ..core.files.setting import Setting, changed, settings_of
-from ..core.puppet.built_in_presets import COMMAND_NAMES, built_in_path, read_preset
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile, PuppetJob
+from ..core.puppet.presets import COMMAND_NAMES, built_in_path, read_preset
 from ..core.puppet.puppet_settings import PuppetSettings
-from ..core.tracking.choice import LEFTMOST, RIGHTMOST
+from ..core.tracking.identity import LEFTMOST, RIGHTMOST
 from ..core.tracking.tracking_settings import TrackingSettings
 from .console import printable, say, write_error
 

@@ -9,15 +9,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from time import monotonic
 
-from ..core.bake.key_map import ESSENTIAL
 from ..core.heads.appearance import Appearance, built_in_appearance
+from ..core.heads.key_map import ESSENTIAL
 from ..core.heads.rig import built_in_head
-from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
-from ..core.live.head_drivers import LiveHead
-from ..core.live.sources import LiveSource, TakePlayer, VideoPlayer
-from ..core.live.worker import LiveOptions, LiveWorker
+from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
+from ..core.puppet.head_drivers import LiveHead
 from ..core.puppet.job import HeadFile
 from ..core.puppet.puppet_settings import PuppetSettings
+from ..core.puppet.sources import LiveSource, TakePlayer, VideoPlayer
+from ..core.puppet.worker import LiveOptions, LiveWorker
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from ..core.files.capture import require_utf8_name
 from ..core.files.writing import free_name, settle
-from ..core.media.capture import require_utf8_name
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.smooth import smooth_take

@@ -10,15 +10,14 @@ from time import monotonic, sleep
 
 from ..core.errors import FacemimeError, OutputError, SourceError
 from ..core.files.writing import settle
-from ..core.live.sources import LiveFrame
-from ..core.streams.incoming import table
+from ..core.puppet.sources import LiveFrame
+from ..core.streams.diagnosis import table
 from ..core.streams.source import StreamSource
 from ..core.streams.stream_settings import AXES, OWN, PROTOCOLS, StreamSettings
-from ..core.streams.transport.addresses import LOOPBACK, parse_address
-from ..core.streams.transport.pairing import parse_pairing
+from ..core.streams.transport.addresses import LOOPBACK, parse_address, parse_pairing
 from ..core.streams.transport.security import write_key
 from ..core.takes.file import SUFFIX, TakeWriter
-from ..core.takes.from_animation import IMAGE_SIZE
+from ..core.takes.measured import IMAGE_SIZE
 from ..core.takes.take import describe
 from .console import Progress, Screen, for_terminal, tell
 from .job_files import growing, outputs_of, unfinished_beside

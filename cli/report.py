@@ -13,8 +13,8 @@ from typing import Any
 import cv2
 
 from ..core.errors import SourceError
+from ..core.files.capture import read_image
 from ..core.files.writing import replacing
-from ..core.media.images import read_image
 
 _SHEET_WIDTH = 480
 """Width of a contact sheet in pixels."""

@@ -9,22 +9,20 @@ from pathlib import Path
 import numpy as np
 
 from ..core.bake.arkit import arkit_coefficients
-from ..core.drive.anonymous import anonymise
+from ..core.drive.retarget import anonymise
 from ..core.errors import FacemimeError
+from ..core.files.capture import check_readable, write_image
 from ..core.files.setting import settings_of
-from ..core.heads.looks import LOOKS, eyes_of_gaze, gaze_of
-from ..core.media.capture import check_readable
-from ..core.media.images import write_image
+from ..core.heads.built_in import LOOKS, eyes_of_gaze, gaze_of
 from ..core.puppet.job import HeadFile
-from ..core.recordings.reading import SUFFIXES as RECORDINGS
-from ..core.recordings.reading import read_recording
 from ..core.streams.sender import eyes_from, turned_from
 from ..core.takes.coefficient_table import write_coefficient_csv
-from ..core.takes.figure import draw_before_after
 from ..core.takes.file import SUFFIX, save_take
-from ..core.takes.mending import mend
+from ..core.takes.mending import draw_before_after, mend
 from ..core.takes.mending_settings import BLEND, Mending
 from ..core.takes.neutral import calibrate
+from ..core.takes.recordings import SUFFIXES as RECORDINGS
+from ..core.takes.recordings import read_recording
 from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS

@@ -12,6 +12,6 @@ Angles are in radians and times in seconds. Only `blender/` converts to Blender'
 """
 
 if __name__ == "facemime.core":  # the library; nothing else imports the extension's modules
-    from .earlier_names import install
+    from .earlier_names import MODULES, PACKAGES, install
 
-    install()
+    install(__name__, MODULES, PACKAGES)

@@ -13,10 +13,10 @@ from ..blender.reference import add_reference, add_sound
 from ..blender.stubs import OperatorResult
 from ..blender.timeline import frames_of, rate_of
 from ..core.bake.arkit import arkit_coefficients
-from ..core.bake.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.errors import FacemimeError, HeadError, SourceError
+from ..core.files.media_headers import sound_lead
 from ..core.files.writing import replacing
-from ..core.media.media_starts import sound_lead
+from ..core.heads.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
 from ..core.takes.neutral import calibrate
 from ..sessions.session import Session
 from ..settings import takes_store

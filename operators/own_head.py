@@ -28,9 +28,9 @@ from ..blender.messages import translated
 from ..blender.preview_scene import face_points, look_at_face
 from ..blender.view_layers import select_alone, show
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
-from ..core.binding.bind import MARKS, Binding
 from ..core.errors import HeadError
 from ..core.face.landmarks import from_ibug
+from ..core.heads.bind import MARKS, Binding
 from ..settings.panel_properties import keep_findings
 from .place_points import CheckedBinding
 from .shared import (

@@ -17,9 +17,9 @@ from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head, mesh_of, posed_bones
 from ..blender.names import HEAD_PROPERTY
 from ..blender.stubs import OperatorResult
+from ..core.bake.key_sets import KEY_SETS
 from ..core.errors import HeadError, SourceError, messages
-from ..core.heads.parts import PART_NAMES, Part
-from ..core.keys.key_sets import KEY_SETS
+from ..core.heads.rig import PART_NAMES, Part
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store

@@ -14,10 +14,10 @@ from ..blender.heads.face_display import FaceDisplay
 from ..blender.heads.placing import NEAR, Placing, landmark_places, marks_to_ask, nearest_landmark, skin_under
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import Viewport, redraw, viewport_under
-from ..core.binding.bind import MIN_MARKS
 from ..core.control_points.select import parse_landmarks
 from ..core.errors import HeadError
 from ..core.face.landmarks import IBUG68_INDICES
+from ..core.heads.bind import MIN_MARKS
 from ..sessions.session import Session
 from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, required_subject, subject
 

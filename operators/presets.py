@@ -4,8 +4,7 @@ import bpy
 from bpy.props import BoolProperty, StringProperty
 
 from ..blender.stubs import OperatorResult
-from ..core.files.preset_files import SUFFIX
-from ..core.puppet.built_in_presets import built_in_path
+from ..core.puppet.presets import SUFFIX, built_in_path
 from ..settings import user_presets as presets
 from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 

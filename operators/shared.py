@@ -14,7 +14,7 @@ from ..blender.meshes import can_be_driven, is_head, object_of
 from ..blender.messages import displayable
 from ..blender.stubs import OperatorMixin, OperatorResult, ReportLevel
 from ..core.errors import FacemimeError, Message, SourceError
-from ..core.media.capture import check_readable, require_utf8_name
+from ..core.files.capture import check_readable, require_utf8_name
 from ..sessions.session import Session
 
 

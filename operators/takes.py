@@ -9,11 +9,11 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..blender.animation.sampling import Sampling
 from ..core.errors import Message, SourceError
-from ..core.live.sources import PacedSource
-from ..core.recordings.reading import SUFFIXES as RECORDINGS
-from ..core.recordings.reading import read_recording
+from ..core.puppet.sources import PacedSource
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.from_video import VIDEO_CUT
+from ..core.takes.recordings import SUFFIXES as RECORDINGS
+from ..core.takes.recordings import read_recording
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take

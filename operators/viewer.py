@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.stubs import OperatorMixin, OperatorResult
-from ..core.streams.transport.identity import renew_identity
+from ..core.streams.transport.security import renew_identity
 from ..settings.properties import pairing_folder, pairing_line
 from .puppet import require_puppet, required_puppet, running
 from .shared import ReportsErrors, report, require

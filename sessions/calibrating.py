@@ -8,7 +8,7 @@ from time import perf_counter
 from typing import Any
 
 from ..core.errors import HeadError, messages
-from ..core.live.worker import LiveWorker
+from ..core.puppet.worker import LiveWorker
 from ..core.takes.neutral import Neutral
 from ..settings.preferences import preferences
 

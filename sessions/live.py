@@ -20,11 +20,11 @@ from ..blender.messages import show_error
 from ..core.drive.driver import HeadFrame
 from ..core.errors import FacemimeError, Message, OutputError
 from ..core.heads.appearance import Appearance
-from ..core.live.head_drivers import LiveHead
-from ..core.live.outputs import Output
-from ..core.live.sources import LiveSource
-from ..core.live.timing import Delays, Stopwatch
-from ..core.live.worker import LiveOptions, LiveResult, LiveWorker
+from ..core.puppet.head_drivers import LiveHead
+from ..core.puppet.outputs import Output
+from ..core.puppet.sources import LiveSource
+from ..core.puppet.timing import Delays, Stopwatch
+from ..core.puppet.worker import LiveOptions, LiveResult, LiveWorker
 from ..core.streams.transport.addresses import LOOPBACK
 from ..core.streams.vertices import VertexSender
 from ..core.takes.neutral import Neutral

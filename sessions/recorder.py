@@ -13,7 +13,7 @@ from ..blender.contexts import in_a_window, push_undo
 from ..blender.messages import show_error
 from ..blender.timeline import frames_of
 from ..core.errors import FacemimeError
-from ..core.live.worker import LiveWorker
+from ..core.puppet.worker import LiveWorker
 from ..core.takes.file import load_take
 from ..core.takes.timing import punch_in, shift_time
 from ..settings import takes_store

@@ -11,10 +11,10 @@ from typing import Any
 import bpy
 
 from ..core.errors import OutputError
-from ..core.live.reference_video import SUFFIX as VIDEO_SUFFIX
-from ..core.live.reference_video import ReferenceVideo
-from ..core.live.sources import LiveFrame, PacedSource
-from ..core.live.worker import LiveWorker
+from ..core.puppet.reference_video import SUFFIX as VIDEO_SUFFIX
+from ..core.puppet.reference_video import ReferenceVideo
+from ..core.puppet.sources import LiveFrame, PacedSource
+from ..core.puppet.worker import LiveWorker
 from ..core.takes.file import SUFFIX, TakeWriter
 from ..core.takes.take import describe
 from ..core.tracking.result import TrackResult

@@ -21,7 +21,7 @@ from ..blender.timeline import frames_of, seconds_of
 from ..blender.viewports import redraw
 from ..core.drive.driver import HeadDriver
 from ..core.errors import FacemimeError, HeadError
-from ..core.live.key_driver import KeyDriver, LiveKeys
+from ..core.puppet.head_drivers import KeyDriver, LiveKeys
 from ..core.puppet.performance import Performance
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take

@@ -11,11 +11,10 @@ from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.animation.live_keys import KEYS, live_keys, names_of
 from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
-from ..core.live.head_drivers import LiveHead
-from ..core.live.key_driver import LiveKeys
-from ..core.live.outputs import DrivenOutput
-from ..core.live.sources import LiveSource
-from ..core.live.worker import LiveOptions
+from ..core.puppet.head_drivers import LiveHead, LiveKeys
+from ..core.puppet.outputs import DrivenOutput
+from ..core.puppet.sources import LiveSource
+from ..core.puppet.worker import LiveOptions
 from ..core.streams.source import StreamSource
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings

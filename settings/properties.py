@@ -19,8 +19,8 @@ from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.streams.sender import SENT
 from ..core.streams.stream_settings import PROTOCOLS, SendSettings, StreamSettings
 from ..core.streams.transport.addresses import EVERYWHERE, LOOPBACK
-from ..core.streams.transport.identity import load_identity
-from ..core.streams.transport.pairing import PORT as PAIRING_PORT
+from ..core.streams.transport.addresses import PORT as PAIRING_PORT
+from ..core.streams.transport.security import load_identity
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import PORT
 from .rna import with_settings

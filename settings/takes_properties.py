@@ -11,10 +11,10 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..core.bake.arkit import COEFFICIENTS
 from ..core.bake.bake_settings import BakeSettings
-from ..core.bake.key_map import KeyMap, KeyRow
 from ..core.errors import FacemimeError
+from ..core.face.names import COEFFICIENTS
+from ..core.heads.key_map import KeyMap, KeyRow
 from .rna import with_settings
 
 

@@ -7,9 +7,8 @@ from pathlib import Path
 import bpy
 
 from ..core.errors import OutputError
-from ..core.files.preset_files import SUFFIX, file_name, to_json
 from ..core.files.writing import reason_of, replacing
-from ..core.puppet.built_in_presets import CONTENTS, read_preset
+from ..core.puppet.presets import CONTENTS, SUFFIX, file_name, read_preset, to_json
 from .properties import FacemimeSettings
 from .storage import presets_folder
 

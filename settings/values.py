@@ -18,18 +18,17 @@ from ..core.bake.bake_settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.errors import Message, SourceError
 from ..core.files.assets import ASSETS
-from ..core.live.camera import Camera, CameraSettings, list_cameras, parse_device
-from ..core.live.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
-from ..core.media.capture import is_address
+from ..core.files.capture import is_address
+from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.puppet.puppet_settings import PuppetSettings
+from ..core.puppet.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.streams.sender import VTUBE_STUDIO, StreamSender
 from ..core.streams.source import StreamSource
 from ..core.streams.stream_settings import OWN, PROTOCOLS, SendSettings, StreamSettings
-from ..core.streams.transport.addresses import LOOPBACK, is_loopback
-from ..core.streams.transport.pairing import parse_pairing
+from ..core.streams.transport.addresses import LOOPBACK, is_loopback, parse_pairing
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
-from ..core.tracking.choice import LEFTMOST, RIGHTMOST
+from ..core.tracking.identity import LEFTMOST, RIGHTMOST
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import ViewerSettings
 from .preferences import preferences

@@ -10,7 +10,7 @@ from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..blender.names import HEAD_PROPERTY, PART_OBJECTS, PART_PROPERTY, REGION_GROUPS
 from ..core.errors import messages
-from ..core.heads.parts import PART_NAMES, Part
+from ..core.heads.rig import PART_NAMES, Part
 from ..operators.parts import BONES
 from ..operators.shared import subject
 from .sidebar import OnHead, Sidebar, draw_findings, labels, place, side_by_side

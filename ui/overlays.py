@@ -21,10 +21,10 @@ from ..blender.heads.placing import Placing, landmark_places, place_of_mark
 from ..blender.meshes import is_head, mesh_of, object_of, read_regions
 from ..blender.messages import interface as _
 from ..blender.viewports import Viewport, free_box, shows_overlays, viewport_drawn
-from ..core.binding.bind import MARKS
 from ..core.control_points.table import REGION_COLOURS, PointRow, region_colours
 from ..core.errors import FacemimeError, HeadError
 from ..core.face.landmarks import EDGES, from_ibug
+from ..core.heads.bind import MARKS
 from ..core.heads.built_in import load_head
 from ..operators.place_points import placing_on
 from ..operators.preview_place import MARGIN

@@ -10,9 +10,9 @@ import numpy as np
 
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
-from ..core.puppet.built_in_presets import BUILT_IN
+from ..core.puppet.presets import BUILT_IN
 from ..core.streams.stream_settings import OWN
-from ..core.viewer.qr import qr_code
+from ..core.viewer.viewer_settings import qr_code
 from ..operators.puppet import running
 from ..sessions.tracking import TrackingSession
 from ..settings import user_presets as presets

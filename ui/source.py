@@ -7,7 +7,7 @@ import bpy
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
-from ..core.live.camera import list_cameras
+from ..core.puppet.camera import list_cameras
 from ..core.streams.stream_settings import OWN, PROTOCOLS
 from ..core.streams.vertices import VERTICES
 from ..operators.puppet import running

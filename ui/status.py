@@ -18,7 +18,7 @@ from ..blender.stubs import Icon
 from ..blender.viewports import free_box, viewport_drawn
 from ..core.errors import messages
 from ..core.streams.source import StreamSource
-from ..core.tracking.hidden_mouth import is_hidden
+from ..core.tracking.result import is_hidden
 from ..operators.preview_place import MARGIN, Box, has_preview, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession

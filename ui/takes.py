@@ -7,7 +7,7 @@ from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
 from ..core.bake.bake_settings import AUTOMATIC
-from ..core.takes.timecodes import timecode
+from ..core.takes.table_times import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow

@@ -15,9 +15,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.basis import MotionBasis
-from ...core.bake.key_map import ESSENTIAL, best_preset
+from ...core.bake.reduction import MotionBasis
 from ...core.errors import HeadError
+from ...core.heads.key_map import ESSENTIAL, best_preset
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, head_of, members_of
 from ..frames import from_blender

@@ -15,9 +15,9 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.key_map import KeyMap
 from ...core.errors import HeadError
-from ...core.live.key_driver import LiveKeys
+from ...core.heads.key_map import KeyMap
+from ...core.puppet.head_drivers import LiveKeys
 from ..characters import members_of
 from ..meshes import driven_by_keys, exists
 from ..names import VALUES_PROPERTY

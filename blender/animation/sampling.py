@@ -13,16 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.arkit import arkit_coefficients
-from ...core.bake.key_map import KeyMap, best_preset, known_expressions, presets
 from ...core.errors import HeadError, Message
-from ...core.face.coefficient_names import COEFFICIENTS
 from ...core.face.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_distance
-from ...core.heads.looks import LOOKS
-from ...core.heads.parts import Part
+from ...core.face.names import COEFFICIENTS
+from ...core.heads.built_in import LOOKS
+from ...core.heads.key_map import KeyMap, best_preset, known_expressions, presets
 from ...core.heads.regions import LOWER
-from ...core.heads.rig import neck_of
+from ...core.heads.rig import Part, neck_of
 from ...core.numeric.arrays import FloatArray
-from ...core.takes.from_animation import FacePoints, PointTracker, describe_animation
+from ...core.takes.measured import FacePoints, PointTracker, describe_animation
 from ...core.takes.neutral import calibrate
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix

@@ -16,8 +16,7 @@ import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
-from ...core.drive.eyes import eye_strength
-from ...core.drive.posing import limit_rotation
+from ...core.drive.posing import eye_strength, limit_rotation
 from ...core.errors import HeadError
 from ...core.face.landmarks import EYE_CORNERS
 from ...core.numeric.arrays import IntArray

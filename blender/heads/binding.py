@@ -11,14 +11,14 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.binding.bind import Binding, bind_landmarks
-from ...core.binding.eye_contours import lids_seen
 from ...core.errors import HeadError, Message
 from ...core.face.landmarks import from_ibug
+from ...core.heads.bind import Binding, bind_landmarks
 from ...core.heads.checks import Finding, check_head
-from ...core.heads.eye_outline import EYES
-from ...core.heads.parts import Part, Skin
+from ...core.heads.eyeballs import EYES
+from ...core.heads.portrait import lids_seen
 from ...core.heads.proposal import propose_regions
+from ...core.heads.rig import Part, Skin
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..characters import part_mesh, read_kinds
 from ..frames import HEAD_TO_BLENDER

@@ -12,7 +12,7 @@ import numpy as np
 from mathutils import Vector
 
 from ...core.face.landmarks import N_LANDMARKS
-from ...core.heads.parts import Skin
+from ...core.heads.rig import Skin
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..meshes import mesh_of, read_faces, read_landmarks, read_vertices, write_landmarks
 

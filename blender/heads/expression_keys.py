@@ -10,14 +10,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.refine import refined_keys
+from ...core.bake.expression_keys import expression_keys, refined_keys
+from ...core.bake.key_quality import KeyQuality, findings, key_qualities
+from ...core.bake.key_sets import KEY_SETS, KeySet
 from ...core.errors import HeadError, Message
-from ...core.face.coefficient_names import COEFFICIENT_INDEX
+from ...core.face.names import COEFFICIENT_INDEX
 from ...core.heads.built_in import HEAD_FILE, WOMAN_FILE, HeadPart, load_head
 from ...core.heads.rig import HeadRig
-from ...core.keys.expression_keys import expression_keys
-from ...core.keys.key_quality import KeyQuality, findings, key_qualities
-from ...core.keys.key_sets import KEY_SETS, KeySet
 from ...core.takes.take import Take
 from ..characters import members_of
 from ..frames import to_blender

@@ -14,11 +14,10 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ...core.bake.key_map import KeyMap, best_preset
 from ...core.errors import HeadError
 from ...core.face.landmarks import N_LANDMARKS
-from ...core.heads.bones import find_bones
-from ...core.heads.part_names import named_part, names_body, names_skin
+from ...core.heads.key_map import KeyMap, best_preset
+from ...core.heads.part_names import find_bones, named_part, names_body, names_skin
 from ...core.numeric.arrays import FloatArray
 from ..characters import head_of, objects_of, rest_matrix
 from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones

@@ -10,16 +10,13 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.key_map import ESSENTIAL, KeyMap, best_preset
-from ...core.bake.key_names import normalised
+from ...core.bake.key_quality import face_from_keys
 from ...core.errors import HeadError
-from ...core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
-from ...core.heads.bones import FaceBones
-from ...core.heads.part_names import names_body
-from ...core.heads.parts import Part
-from ...core.heads.rig import neck_of
-from ...core.heads.vrm import MorphBind, expressions_of
-from ...core.keys.keyed_face import face_from_keys
+from ...core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, normalised
+from ...core.heads.character_files import MorphBind, expressions_of
+from ...core.heads.key_map import ESSENTIAL, KeyMap, best_preset
+from ...core.heads.part_names import FaceBones, names_body
+from ...core.heads.rig import Part, neck_of
 from ..characters import write_bones, write_kinds
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import group_weights, key_names, keys_of, mesh_of, read_vertices

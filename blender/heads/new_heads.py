@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...core.errors import SourceError
 from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
 from ...core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
-from ...core.heads.parts import Part
+from ...core.heads.rig import Part
 from ..characters import write_kinds
 from ..frames import to_blender
 from ..meshes import mesh_of, write_landmarks, write_regions

@@ -13,9 +13,9 @@ from mathutils import Vector
 
 from ...core.errors import HeadError
 from ...core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, outer_eye_distance
-from ...core.heads.eye_outline import EYES, EyeOutline, eye_outline
+from ...core.heads.eyeballs import EYES, EyeOutline, eye_outline
 from ...core.heads.lids import EyeCut, coarse_edges, cut_eye, eyes_joined
-from ...core.heads.lips import lip_line, rim_landmarks
+from ...core.heads.slits import lip_line, rim_landmarks
 from ...core.mesh.surface import SurfaceGraph, lips_joined
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..frames import from_blender, to_blender

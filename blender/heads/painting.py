@@ -5,8 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ...core.errors import HeadError
-from ...core.heads.region_edit import Side, mirror_regions, smooth_regions
-from ...core.heads.regions import hold_landmarks, own_weights
+from ...core.heads.regions import Side, hold_landmarks, mirror_regions, own_weights, smooth_regions
 from ..meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, require_own, write_regions
 from ..names import REGION_GROUPS
 

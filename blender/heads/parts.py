@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.face.landmarks import JAW, NOSE, outer_eye_distance
-from ...core.heads.bones import FaceBones, find_bones
-from ...core.heads.part_names import named_part, names_body
-from ...core.heads.parts import Part, Skin, skin_of
+from ...core.heads.part_names import FaceBones, find_bones, named_part, names_body
 from ...core.heads.proposal import propose_regions
-from ...core.heads.rig import neck_of
+from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
-from ...core.mesh.nearest import NearestPoints
-from ...core.mesh.pieces import border_twins, islands
+from ...core.mesh.surface import NearestPoints, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
@@ -64,7 +61,7 @@ def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
 
 
 def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: IntArray | None = None) -> Skin:
-    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.parts.skin_of`.
+    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.rig.skin_of`.
 
     Parameters
     ----------

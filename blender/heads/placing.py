@@ -11,10 +11,10 @@ from bpy_extras import view3d_utils
 from mathutils import Vector
 from numpy.typing import NDArray
 
-from ...core.binding.bind import MARKS, MIN_MARKS
 from ...core.errors import HeadError
 from ...core.face.landmarks import from_ibug
-from ...core.heads.parts import Part
+from ...core.heads.bind import MARKS, MIN_MARKS
+from ...core.heads.rig import Part
 from ...core.numeric import linalg
 from ..characters import read_kinds
 from ..meshes import is_head, mesh_of, object_of, read_landmarks, read_regions, write_landmarks

@@ -1,1 +1,1 @@
-"""Baking without Blender: bases, weights of shape keys, tables, clean curves and caches (method.md, section 9)."""
+"""Baking without Blender: shape keys and their weights, ARKit's coefficients, and caches (method.md, section 9)."""

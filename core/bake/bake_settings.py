@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from ..files.setting import Choice, setting
-from .key_map import KeyMap
+from ..heads.key_map import KeyMap
 
 AUTOMATIC = "automatic"
 FIRST_FRAME, CURRENT_FRAME, SCENE_START = "first", "current", "scene"

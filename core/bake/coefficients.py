@@ -4,19 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.actions import ACTION_MIRROR
-from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED
 from ..face.landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS
+from ..face.names import ACTION_MIRROR, COEFFICIENT_INDEX, COEFFICIENT_MIRROR, EXCLUSIVE, FITTED, N_ACTIONS
+from ..files.archives import Archive, open_shipped
+from ..files.assets import ASSETS
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
+from ..numeric.least_squares import bounded_least_squares, bounded_minimum
 from ..numeric.linalg import multiply
-from .coefficient_model import N_OBSERVED, CoefficientModel, Layer
-from .least_squares import bounded_least_squares, bounded_minimum
 
+FORMAT = "facemime-coefficients-2"
 _SPARSITY = 1.0
 """`lambda` of equation 9.3: weight of the sum of the coefficients in the first fit."""
 _SHARPNESS = 0.6
@@ -37,6 +41,112 @@ _CALM = 0.3
 """Sum of coefficients below which frames count alike in equation 9.5."""
 _EXCLUDED = 1e6
 """Penalty of the weaker coefficient of an exclusive pair, far above what an observation could outweigh."""
+
+
+COEFFICIENT_FILE = ASSETS / "expressions" / "coefficients.npz"
+N_OBSERVED = 3 * N_LANDMARKS + N_ACTIONS
+"""Size of an observation: 66 displacements in the built-in head's outer-eye distances, and 15 activations."""
+HIDDEN = (256, 128)
+"""Widths of the hidden layers of the network that corrects the fit."""
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A covariance ``F^T F + diag(s)^2``.
+
+    Attributes
+    ----------
+    modes : (K, 213) float64
+        F, the directions of most of the variance.
+    rest : (213,) float64
+        s, standard deviations of the remainder.
+    """
+
+    modes: FloatArray
+    rest: FloatArray
+
+    def matrix(self) -> FloatArray:
+        """Return the covariance matrix, (213, 213) float64."""
+        return np.asarray(self.modes.T @ self.modes + np.diag(np.square(self.rest)))
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A layer of a network, ``y = x W + b``.
+
+    Attributes
+    ----------
+    weights : (I, O) float64
+        W.
+    offsets : (O,) float64
+        b.
+    """
+
+    weights: FloatArray
+    offsets: FloatArray
+
+
+@dataclass(frozen=True)
+class CoefficientModel:
+    """Model of observations, ``x = a R + e + n``, of coefficients a with the errors of a frame and of the neutral face.
+
+    Attributes
+    ----------
+    responses : (44, 213) float64
+        R, the observation of each of the coefficients `FITTED` at value 1.
+    frame : Spread
+        Covariance of e, which differs from frame to frame: the tracker's noise, and differences between people.
+    neutral : Spread
+        Covariance of n, which is the same for a whole take.
+    together : (44, 44) float64
+        P, the inverse of the mean product of any two coefficients: how they go together.
+    gains : (44,) float64
+        Factors that compensate for the shrinkage of the amplitudes by the prior.
+    correction : tuple of Layer
+        A network from an observation and its fitted coefficients, (213 + 44,), to what the fit lacks, (44,), with ramps
+        between its layers. If it has no layers, the fit is not corrected.
+    """
+
+    responses: FloatArray
+    frame: Spread
+    neutral: Spread
+    together: FloatArray
+    gains: FloatArray
+    correction: tuple[Layer, ...] = ()
+
+
+@lru_cache(maxsize=1)
+def load_coefficient_model(path: Path = COEFFICIENT_FILE) -> CoefficientModel:
+    """Read the shipped model, once.
+
+    Raises
+    ------
+    ModelError
+        If the file is missing, damaged, or of a different version.
+    """
+    count = len(FITTED)
+    with open_shipped(path, FORMAT) as archive:
+        return CoefficientModel(
+            responses=archive.floats("responses", (count, N_OBSERVED)),
+            frame=_spread(archive, "frame"),
+            neutral=_spread(archive, "neutral"),
+            together=archive.floats("together", (count, count)),
+            gains=archive.floats("gains", (count,)),
+            correction=_correction(archive, (N_OBSERVED + count, *HIDDEN, count)),
+        )
+
+
+def _correction(archive: Archive, widths: tuple[int, ...]) -> tuple[Layer, ...]:
+    return tuple(
+        Layer(archive.floats(f"correction.{i}.weights", shape), archive.floats(f"correction.{i}.offsets", shape[1:]))
+        for i, shape in enumerate(pairwise(widths))
+    )
+
+
+def _spread(archive: Archive, name: str) -> Spread:
+    return Spread(archive.floats(f"{name}.modes", (None, N_OBSERVED)), archive.floats(f"{name}.rest", (N_OBSERVED,)))
+
+
 _PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
 _ACROSS: NDArray[np.intp] = np.searchsorted(FITTED, COEFFICIENT_MIRROR[FITTED])
 _OPENS, _CLOSES = (int(np.searchsorted(FITTED, COEFFICIENT_INDEX[name])) for name in ("jawOpen", "mouthClose"))

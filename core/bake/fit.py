@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
+from ..numeric.least_squares import bounded_least_squares
 from ..numeric.linalg import multiply
-from .least_squares import bounded_least_squares
 
 RIDGE = 1e-4
 """Ridge as a share of the mean square of a key. Similar keys then share motion, and undetermined ones stay at 0."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
+from ..deform.covariance import REGULARISATION, follow_in_region, landmark_covariance
 from ..heads.regions import REGIONS
 from ..mesh.kernels import Kernel, distances
 from ..numeric import linalg

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..deform.follow import REGULARISATION, follow_in_region, landmark_covariance
+from ..deform.covariance import REGULARISATION, follow_in_region, landmark_covariance
 from ..errors import HeadError, Message, messages
 from ..face.landmarks import N_LANDMARKS, from_ibug
 from ..heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from ..numeric import linalg
 from ..numeric.linalg import multiply
-from ..numeric.onnx import Node, encode_network
-from ..numeric.opencv import read_network
+from ..numeric.opencv import Node, encode_network, read_network
 
 TOLERANCE = 5e-4
 """Error allowed at a vertex, relative to the root of the sum of the squared displacements of all control points."""

@@ -20,13 +20,12 @@ from ..face.landmarks import N_LANDMARKS, outer_eye_distance
 from ..files.archives import open_shipped
 from ..files.assets import ASSETS
 from ..heads.built_in import load_head
-from ..mesh.kernels import distances
-from ..mesh.nearest import NearestPoints
-from ..mesh.warp import Warp
+from ..mesh.kernels import Warp, distances
+from ..mesh.surface import NearestPoints
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 from ..numeric.linalg import multiply
-from .skin import SkinCovariance, skin_covariance
+from .covariance import SkinCovariance, skin_covariance
 
 FORMAT = "facemime-expressions-1"
 EXPRESSIONS_FILE = ASSETS / "expressions" / "ict.npz"

@@ -9,8 +9,8 @@ import numpy as np
 from ..heads.regions import DEFAULT_KERNEL, membership, region_sigmas
 from ..heads.rig import HeadRig
 from ..mesh.kernels import get_kernel
+from .covariance import REGULARISATION, follow_matrix
 from .expressions import ExpressionModel, learnt_covariance, shipped_expressions
-from .follow import REGULARISATION, follow_matrix
 from .lid_rims import lid_rims
 from .rbf import IncrementalDeformer, RBFDeformer
 

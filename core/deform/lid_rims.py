@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
-from ..mesh.nearest import NearestPoints
-from ..mesh.surface import SurfaceGraph
+from ..mesh.surface import NearestPoints, SurfaceGraph
 from ..numeric.arrays import FloatArray, IntArray
 from .blocks import RegionMatrix
 

@@ -20,9 +20,8 @@ from ..mesh.kernels import Kernel, distances, get_kernel
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, as_points
 from .blocks import BlockProduct, RegionMatrix, RowBuilder
-from .follow import REGULARISATION
+from .covariance import REGULARISATION, SkinCovariance
 from .lid_rims import LidRims
-from .skin import SkinCovariance
 
 MAX_CONDITION = 1e10
 """Largest condition number of a fit, beyond which rounding errors would be visible."""

@@ -1,1 +1,1 @@
-"""Driving of a head by a tracked face: displacements, pose, jaw and gaze (method.md, section 4)."""
+"""Driving of a head by a tracked face: pose, displacements of its landmarks, jaw and gaze (method.md, section 4)."""

@@ -7,25 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ..deform.action_modes import action_modes
 from ..deform.head_deformer import INFORMED, head_deformer
 from ..deform.rbf import IncrementalDeformer, RBFDeformer
-from ..face.actions import N_ACTIONS
 from ..face.landmarks import outer_eye_distance
+from ..face.names import N_ACTIONS
 from ..face.rotation import euler_to_matrix
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
 from ..numeric.arrays import FloatArray
 from ..takes.neutral import MIRROR_WIDTH, Neutral
-from ..tracking.mirror import mirror_result
-from ..tracking.result import CAMERA_DISTANCE, TrackResult
-from .actions import TONGUE, ActionDriver
+from ..tracking.result import CAMERA_DISTANCE, TrackResult, mirror_result
+from .actions import TONGUE, ActionDriver, action_modes
 from .drive_settings import DriveSettings
-from .eyes import EyeDriver
-from .jaw import Jaw
 from .parts import PartDriver
-from .posing import limit_rotation, limit_vector
+from .posing import EyeDriver, Jaw, limit_rotation, limit_vector
 from .retarget import retargeter_for
 
 _BY_DEFAULT = DriveSettings()

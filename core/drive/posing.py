@@ -1,13 +1,25 @@
-"""Strength and limits of rotations and vectors, for an avatar's head and eyes."""
+"""Rotations of an avatar's head, eyes and jaw: their strength and limits, gaze, and the motion of the jaw."""
 
 from __future__ import annotations
 
-from math import pi
+from collections import deque
+from math import nan, pi
 
 import cv2
 import numpy as np
 
+from ..face.landmarks import CHIN, LOWER_LIPS, outer_eye_distance
+from ..face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from ..numeric.arrays import FloatArray
+
+_CHIN_ERROR = 0.01
+"""Error of the motion of the chin, whose outline is faint, in outer-eye distances."""
+_CHIN_ERROR_SHARE = 0.3
+"""Further error of that motion, relative to it."""
+_LIP_ALONE = 0.03
+"""Motion of the lower lip by itself, in outer-eye distances."""
+_MAX_FACTOR = 2.0
+"""Largest factor by which the jaw is opened further than the chin suggests."""
 
 
 def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:
@@ -53,3 +65,174 @@ def limit_vector(vector: FloatArray, strength: float, limit: float) -> FloatArra
     scaled = strength * np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(scaled))
     return np.asarray(scaled * (limit / length)) if length > limit else scaled
+
+
+_PARALLEL = np.radians(8.0)
+"""Vergence relative to rest, in radians, up to which eyes count as parallel."""
+_CROSSED = np.radians(40.0)
+"""Largest vergence beyond that, in radians."""
+_LASTING = 5
+"""Number of frames for which eyes have to be crossed, as a misplaced pupil comes and goes."""
+_LIMIT = np.radians((7.0, 22.0))
+"""Limits of pitch and yaw in radians. Pitch is small, as the lids, which follow the performer's, would hide the
+iris."""
+_TRAVEL = 0.5
+"""Distance that an iris may move between straight ahead and the limit of yaw, relative to half the width of its eye. It
+is 0.3 for the built-in head, and 0.4 to 0.5 for realistic characters."""
+
+
+class EyeDriver:
+    """Rotates the eyes of an avatar by the gaze of a performer.
+
+    Shut eyes have no gaze; the avatar's eyes then keep their last direction behind the lids.
+
+    Parameters
+    ----------
+    straight : (2,) array
+        The performer's usual gaze, `Neutral.gaze`, at which the avatar looks straight ahead. NaN if a take has no gaze;
+        the eyes then stay on the viewer.
+    parallel : float
+        The performer's vergence at rest, `Neutral.vergence`. NaN if it is unknown; the eyes then stay parallel.
+    """
+
+    def __init__(self, straight: FloatArray, parallel: float = nan) -> None:
+        self._straight = np.asarray(straight, dtype=np.float64)
+        self._parallel = parallel
+        self._last = np.zeros(2)
+        self._crossed: deque[float] = deque([0.0] * _LASTING, _LASTING)
+
+    def follow(self, earlier: EyeDriver) -> None:
+        """Continue from another driver of the same eyes: shut eyes keep their direction, crossed eyes stay crossed."""
+        self._last = earlier._last + np.nan_to_num(earlier._straight - self._straight)
+        self._crossed = earlier._crossed.copy()
+
+    def rotations(self, gaze: FloatArray, vergence: float, head: FloatArray) -> FloatArray:
+        """Compute the rotations of the eyeballs relative to the head.
+
+        Parameters
+        ----------
+        gaze : (2,) float64
+            `TrackResult.gaze`.
+        vergence : float
+            `TrackResult.vergence`.
+        head : (3, 3) float64
+            Rotation of the avatar's head, which eyes that stay on the viewer compensate.
+
+        Returns
+        -------
+        (2, 3, 3) float64
+            Rotations of the right and left eyeball, within the limits.
+        """
+        if not np.isfinite(self._straight).all():
+            return np.tile(gaze_at_viewer(head), (2, 1, 1))
+        if np.isfinite(gaze).all():
+            # Relative to the usual gaze, as the performer looks at the screen and the camera stands above it.
+            self._last = gaze - self._straight
+        if np.isfinite(vergence - self._parallel):
+            crossed = vergence - self._parallel
+            self._crossed.append(float(np.sign(crossed) * np.clip(abs(crossed) - _PARALLEL, 0.0, _CROSSED)))
+        # Eyes are crossed by what all of the last frames agree on: the least of positive values, or of negative ones.
+        least, most = min(self._crossed), max(self._crossed)
+        aside = np.array([0.0, 0.5 * (max(least, 0.0) + min(most, 0.0))])
+        return np.stack([_rotation_within_limits(self._last - aside), _rotation_within_limits(self._last + aside)])
+
+
+def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
+    """Compute the rotations of eyes whose direction was measured rather than tracked, without limits or delay.
+
+    Parameters
+    ----------
+    gaze : (2,) float64
+        `(pitch, yaw)` from straight ahead in radians.
+    vergence : float
+        As in `TrackResult`, relative to rest, in radians; NaN counts as 0.
+
+    Returns
+    -------
+    (2, 3, 3) float64
+        Rotations of the right and left eyeball.
+    """
+    aside = 0.5 * float(np.nan_to_num(vergence))
+    pitch, yaw = (float(angle) for angle in np.nan_to_num(gaze))
+    return np.stack([euler_to_matrix(pitch, yaw - aside, 0.0), euler_to_matrix(pitch, yaw + aside, 0.0)])
+
+
+def eye_strength(pivot: FloatArray, corners: FloatArray) -> float:
+    """Factor of the rotations of an eye that keeps its iris between the lids.
+
+    A drawn eye is flat, and turns about a point far behind it, so that angles of a real eye would move its iris out of
+    view.
+
+    Parameters
+    ----------
+    pivot : (3,) float64
+        Point about which the eye turns.
+    corners : (2, 3) float64
+        Corners of the eye, in the same frame and unit.
+
+    Returns
+    -------
+    float
+        At most 1, which realistic eyes have.
+    """
+    half_width = 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
+    # A point at distance d from the pivot moves by d sin(yaw).
+    moved = float(np.linalg.norm(corners.mean(axis=0) - pivot)) * float(np.sin(_LIMIT[1]))
+    return min(1.0, _TRAVEL * half_width / moved) if moved > 0.0 else 1.0
+
+
+def gaze_at_viewer(head: FloatArray) -> FloatArray:
+    """Return the rotation of the eyes, within the limits, that keeps them on the viewer for a head's rotation (3, 3).
+
+    People mostly look at the screen in front of them, and fixed eyes look dead.
+    """
+    pitch, yaw, _ = matrix_to_euler(head.T)
+    return _rotation_within_limits(np.array([pitch, yaw]))
+
+
+def _rotation_within_limits(angles: FloatArray) -> FloatArray:
+    pitch, yaw = (float(angle) for angle in np.clip(angles, -_LIMIT, _LIMIT))
+    return euler_to_matrix(pitch, yaw, 0.0)
+
+
+class Jaw:
+    """Fits the rotation of a head's jaw.
+
+    Parameters
+    ----------
+    landmarks : (66, 3) float64
+        Landmarks at rest: head frame, unit of the mesh.
+    hinge : (3,) float64
+        A point on the axis of the jaw.
+    """
+
+    def __init__(self, landmarks: FloatArray, hinge: FloatArray) -> None:
+        self._chin, self._lip = landmarks[CHIN] - hinge, landmarks[LOWER_LIPS].mean(axis=0) - hinge
+        self._unit = outer_eye_distance(landmarks)
+
+    def rotation(self, displacements: FloatArray) -> FloatArray:
+        """Find the rotation about the hinge.
+
+        Parameters
+        ----------
+        displacements : (66, 3) float64
+            Displacements of the landmarks: head frame, unit of the mesh.
+
+        Returns
+        -------
+        (3, 3) float64
+            The rotation that fits the chin, enlarged if the lower lip is further down than that would take it.
+        """
+        moved = displacements[CHIN]
+        rotation = fit_rotation(self._chin, self._chin + moved)
+        taken = rotation @ self._lip - self._lip
+        length = float(np.linalg.norm(taken))
+        if taken[1] <= 1e-6 * self._unit:
+            return rotation
+        # The factor that agrees best with both, each in units of its error (equation 4.5).
+        chin = float(np.linalg.norm(moved.mean(axis=0))) / self._unit
+        trust = (chin / (_CHIN_ERROR + _CHIN_ERROR_SHARE * chin)) ** 2
+        lip = float(displacements[LOWER_LIPS].mean(axis=0) @ taken) / length
+        once, squared = lip * length / (self._unit * _LIP_ALONE) ** 2, (length / (self._unit * _LIP_ALONE)) ** 2
+        factor = (trust + once) / (trust + squared)
+        return limit_rotation(rotation, min(max(factor, 1.0), _MAX_FACTOR), pi)

@@ -1,12 +1,15 @@
-"""From a performer's pose-free landmarks to displacements of an avatar's (method.md, sections 4.2 to 4.4)."""
+"""From a performer's pose-free landmarks to displacements of an avatar's (method.md, sections 4.2 to 4.4), or to the
+average face (section 8.4).
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from ..errors import HeadError, SourceError
-from ..face.apertures import eye_apertures, lid_gaps
 from ..face.landmarks import (
     EYE_CORNERS,
     LIPS,
@@ -16,10 +19,16 @@ from ..face.landmarks import (
     N_LANDMARKS,
     UPPER_LIDS,
     UPPER_LIPS,
+    eye_apertures,
+    lid_gaps,
+    mouth_aperture,
 )
 from ..heads.regions import LOWER, REGIONS, membership, rms_extent
 from ..numeric.arrays import FloatArray, IntArray, as_points
-from ..takes.neutral import Neutral
+from ..takes.neutral import Neutral, calibrate
+from ..takes.take import Take
+from ..takes.timing import mark_lost, project
+from ..tracking.tracker import FaceTracker
 from .drive_settings import Mode
 
 _MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
@@ -224,3 +233,36 @@ def _scale(neutral: FloatArray, head: FloatArray) -> FloatArray:
 def _opening(points: FloatArray) -> FloatArray:
     """Opening of the right and left eye, (2,); at least a small share of the eye's width."""
     return np.asarray(np.maximum(eye_apertures(points), _least(points)[::2]))
+
+
+_KEPT_INFO = (
+    *("fps", "image_size", "model", "clock", "measured"),
+    *("mirrored", "smoothed", "bridged", "punched_in", "interrupted"),
+)
+"""Technical entries of `Take.info` that an anonymous take keeps."""
+
+
+def anonymise(take: Take) -> Take:
+    """Remove the performer's name and face from a take; an average face then moves as the performer's did.
+
+    The shape of each frame becomes the mean face of the model, displaced by `Retargeter`, and landmarks follow from it.
+    Shape parameters, pupils and landmark confidences, which depend on the performer's face, are removed, as are names
+    and dates in `info`. The take drives a head as before, up to rounding. The motion remains, and somebody who knows
+    the performer may recognise them by it.
+    """
+    info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
+    result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
+    result.confidence[:] = take.confidence
+    for name in ("pose", "gaze", "vergence", "actions", "coefficients"):
+        getattr(result, name)[:] = getattr(take, name)
+    if not take.found.any():
+        return result
+    neutral, mean = calibrate(take), FaceTracker.load().pdm.mean_shape
+    retargeter = Retargeter(neutral.shape, mean)
+    for frame in np.flatnonzero(take.found).tolist():
+        result.shape[frame] = mean + retargeter.displacements(take.shape[frame])
+    seen = result.found
+    result.landmarks[seen] = project(result.shape[seen].astype(np.float64), result.pose[seen])
+    opened = neutral.open_mouth - float(mouth_aperture(neutral.shape))
+    average = replace(neutral, shape=mean, open_mouth=float(mouth_aperture(mean)) + opened)
+    return replace(result, info={**info, "calibration": average.to_dict()})

@@ -1,1 +1,1 @@
-"""Files: reading within bounds, writing that loses nothing, locks, presets, and how settings are described."""
+"""Files: reading within bounds, writing that loses nothing, locks, how settings are described, videos and images."""

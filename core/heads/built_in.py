@@ -1,15 +1,17 @@
-"""The built-in heads: 1,781 vertices with landmarks, regions, the 52 ARKit face units, and their parts.
+"""The built-in heads: 1,781 vertices with landmarks, regions, the 52 ARKit face units, and their parts; the direction
+of the eyes in ARKit's coefficients, as on these heads.
 
-They are stored in `assets/head`, built by `lab/training/head` from CC0 data, and share their faces and landmarks. The
-arrays in a file are the fields of `Head` and `HeadPart`, with displacements as float16; those of a part are prefixed
-with its name and a dot. "The built-in head" without further qualification is the man's, the reference for everything
-that needs a known head.
+They are stored in `assets/head`, built by `lab/training/head` from CC0 data, and share their faces and landmarks.
+The arrays in a file are the fields of `Head` and `HeadPart`, with displacements as float16; those of a part are
+prefixed with its name and a dot. "The built-in head" without further qualification is the man's, the reference for
+everything that needs a known head.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from functools import lru_cache
+from math import atan2, cos, tan
 from pathlib import Path
 
 import numpy as np
@@ -17,10 +19,16 @@ from numpy.typing import NDArray
 
 from ..errors import DataError, ModelError
 from ..face.landmarks import N_LANDMARKS
+from ..face.names import COEFFICIENT_INDEX
+from ..face.rotation import fit_rotation
 from ..files.archives import MAX_BYTES, Archive, read_archive
 from ..files.assets import ASSETS
 from ..files.reading import read_bytes
+from ..numeric.arrays import FloatArray
 from .regions import REGIONS
+
+_DIRECTIONS = ("In", "Out", "Up", "Down")
+
 
 REGION_NAMES = tuple(region.name for region in REGIONS)
 PART_NAMES = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue", "lashes", "hair")
@@ -193,3 +201,96 @@ def _faces(archive: Archive, prefix: str, count: int) -> tuple[NDArray[np.int32]
     if (faces[:, :3] < 0).any() or (ordered[:, 1:] == ordered[:, :-1]).any():
         raise DataError("{prefix}faces has a degenerate face", prefix=prefix)
     return faces.astype(np.int32), archive.floats(f"{prefix}uv", (len(faces), 4, 2), np.float32)
+
+
+LOOKS: NDArray[np.intp] = np.array(
+    [COEFFICIENT_INDEX[f"eyeLook{direction}{side}"] for side in ("Left", "Right") for direction in _DIRECTIONS]
+)
+"""(8,) columns of the coefficients for the direction of the eyes."""
+_PHONE_REACH = np.radians((35.2, 33.0))
+"""Pitch and yaw of an eye in radians at which an iPhone states a coefficient of 1, from 560 of its packets."""
+
+
+def looks_of(rotations: FloatArray) -> FloatArray:
+    """Compute the coefficients for the direction of the eyes.
+
+    Parameters
+    ----------
+    rotations : (N, 2, 3, 3) float64
+        Rotations of the right and the left eyeball.
+
+    Returns
+    -------
+    (N, 8) float64
+        Coefficients in the order of `LOOKS`, 0 to 1: shares of the angle of each unit.
+    """
+    forward = -rotations[..., 2]
+    turned = np.stack([np.arctan2(forward[..., axis], -forward[..., 2]) for axis in (0, 1)])
+    columns = [np.clip(turned[axis][:, side] / reach, 0.0, 1.0) for side, axis, reach in _reaches()]
+    return np.column_stack(columns)
+
+
+def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
+    """Compute the direction of the eyes from their coefficients.
+
+    Parameters
+    ----------
+    looks : (8,) float64
+        Coefficients in the order of `LOOKS`.
+
+    Returns
+    -------
+    gaze : (2,) float64
+        `(pitch, yaw)` in radians, as in `TrackResult`. The pitch is the mean of both eyes.
+    vergence : float
+        As in `TrackResult`, in radians.
+    """
+    angles = np.zeros((2, 2))
+    for value, (side, axis, reach) in zip(looks.tolist(), _reaches(), strict=True):
+        angles[side, axis] += value * reach
+    return gaze_of_eyes(np.array([[atan2(tan(down) * cos(across), 1.0), -across] for across, down in angles.tolist()]))
+
+
+def gaze_of_eyes(eyes: FloatArray) -> tuple[FloatArray, float]:
+    """Return gaze and vergence, as from `gaze_of`, of the `(pitch, yaw)` of the right and left eye, (2, 2)."""
+    return eyes.mean(axis=0), float(eyes[1, 1] - eyes[0, 1])
+
+
+def looks_of_eyes(eyes: FloatArray) -> FloatArray:
+    """Compute the coefficients that a phone states for the directions of the eyes.
+
+    Parameters
+    ----------
+    eyes : (2, 2) float64
+        `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`.
+
+    Returns
+    -------
+    (8,) float64
+        Coefficients in the order of `LOOKS`, 0 to 1.
+    """
+    (right_down, right_in), (left_down, left_in) = (eyes * [[1.0, -1.0], [1.0, 1.0]] / _PHONE_REACH).tolist()
+    ways = [left_in, -left_in, -left_down, left_down, right_in, -right_in, -right_down, right_down]
+    return np.clip(ways, 0.0, 1.0)
+
+
+def eyes_of_gaze(gaze: FloatArray, vergence: float) -> FloatArray:
+    """Return the `(pitch, yaw)` of the right and left eye, (2, 2), that have this gaze and vergence in radians."""
+    return gaze + np.array([[0.0, -0.5], [0.0, 0.5]]) * vergence
+
+
+@lru_cache(maxsize=1)
+def _reaches() -> tuple[tuple[int, int, float], ...]:
+    """Return for each of `LOOKS` the eye (0 right, 1 left), the axis along which it looks, and the signed angle in
+    radians at coefficient 1.
+    """
+    head = load_head()
+    reaches = []
+    for column in LOOKS.tolist():
+        name = head.unit_names[column]
+        eye = head.part("eye_left" if "Left" in name else "eye_right")
+        rest = (eye.vertices - eye.pivot).astype(np.float64)
+        forward = -fit_rotation(rest, rest + eye.units[column])[:, 2]
+        axis = 0 if "In" in name or "Out" in name else 1
+        reaches.append((int("Left" in name), axis, float(np.arctan2(forward[axis], -forward[2]))))
+    return tuple(reaches)

@@ -1,4 +1,6 @@
-"""Checks whether a head is ready to be driven."""
+"""Checks whether a head is ready to be driven, and differences of a face at rest from a neutral one (method.md, section
+7.1).
+"""
 
 from __future__ import annotations
 
@@ -7,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import HeadError, Message
-from ..face.landmarks import BROWS, IBUG68_INDICES
+from ..face.landmarks import BROWS, IBUG68_INDICES, MOUTH_CORNERS, eye_apertures, from_ibug, mouth_aperture
 from ..mesh.surface import SurfaceGraph, lips_joined
 from ..numeric.arrays import FloatArray, IntArray
-from .eye_outline import EYES, eye_outline
+from .eyeballs import EYES, eye_outline
 from .lids import eyes_joined
 from .regions import REGIONS, membership, own_weights
 
@@ -18,6 +20,18 @@ _MIN_WEIGHT = 0.01
 _HELD = 0.95
 """Weight in its own regions that the vertex of a landmark needs in order to follow it."""
 _MAX_LISTED = 8
+_SHUT = 0.045
+"""Aperture below which eyes count as shut: at most 0.03 to 0.04 on heads with shut eyes, 0.08 and more on others. All
+lengths are in outer-eye distances."""
+_OPEN = 0.05
+"""Aperture above which the mouth counts as open."""
+_USUAL_WIDTH = 0.56
+"""Width of the mouth in the tracker's mean shape."""
+_SMILE = 0.06
+"""Rise of the corners of the mouth above its middle, plus half of its excess width, above which a face smiles: up to
+0.04 on neutral heads, 0.1 and more on broad smiles."""
+
+
 _EYE_BROWS = BROWS[:5], BROWS[:4:-1]
 """Landmarks of the brows above `EYES`, the outer end first."""
 _MIN_BROW_GAP = 0.05
@@ -172,3 +186,43 @@ def _list(landmarks: IntArray) -> str:
     return ", ".join(numbers[:_MAX_LISTED]) + (
         f" and {len(numbers) - _MAX_LISTED} more" if len(numbers) > _MAX_LISTED else ""
     )
+
+
+def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
+    """Detect shut eyes, an open mouth and a smile in a face at rest.
+
+    Parameters
+    ----------
+    shape : (66, 3) float64
+        The tracker's landmarks without the pose: head frame, in outer-eye distances.
+
+    Returns
+    -------
+    tuple of Finding
+        The findings; empty for a neutral face.
+    """
+    findings = []
+    if float(eye_apertures(shape).max()) < _SHUT:
+        findings.append(
+            Finding(
+                Message("The eyes are shut at rest, so blinks would push the lids further."),
+                Message("Open them in the mesh."),
+            )
+        )
+    if float(mouth_aperture(shape)) > _OPEN:
+        findings.append(
+            Finding(Message("The mouth is open at rest, so it would never close."), Message("Close it in the mesh."))
+        )
+    elif _smile(shape) > _SMILE:
+        findings.append(
+            Finding(
+                Message("The face smiles at rest, so it would always smile."), Message("Make it neutral in the mesh.")
+            )
+        )
+    return tuple(findings)
+
+
+def _smile(shape: FloatArray) -> float:
+    right, left = shape[MOUTH_CORNERS]
+    rise = shape[from_ibug((51, 57)), 1].mean() - shape[MOUTH_CORNERS, 1].mean()
+    return float(rise + 0.5 * (np.linalg.norm(right - left) - _USUAL_WIDTH))

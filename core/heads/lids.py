@@ -17,9 +17,8 @@ from ..errors import HeadError
 from ..mesh.surface import JOINED, SurfaceGraph
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from .eye_outline import EYES, EyeOutline, eye_outline
-from .eyeballs import LID_THICKNESS
-from .lips import nearest_at_shares
+from .eyeballs import EYES, LID_THICKNESS, EyeOutline, eye_outline
+from .slits import nearest_at_shares
 
 _MARGIN = 0.1
 """Margin, in eye widths, at the corners of the part of the mesh in which paths from lid to lid are sought. Outside of

@@ -1,4 +1,4 @@
-"""What the names of objects and materials say about the parts of a character's face.
+"""What names say about a character: those of objects and materials about the parts of its face, and those of bones.
 
 Names are compared word by word, as "brow" is part of "brown" and "face" of "surface". Words may be joined
 (`EyeLeft`, `eye_left`, `eyeleft`), and have a side, a row or what artists append to names of meshes.
@@ -7,9 +7,10 @@ Names are compared word by word, as "brow" is part of "brown" and "face" of "sur
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
-from .parts import Part
+from .rig import Part
 
 _BEFORE = (
     r"(?:l|r|left|right|both|upper|lower|top|bottom|front|back|inner|outer|base|my|male|female|man|woman|human|"
@@ -17,6 +18,12 @@ _BEFORE = (
 )
 _AFTER = r"(?:s|es|l|r|left|right|upper|lower|top|bottom|inner|outer|mesh|geo|geometry|obj|object|mat|material|base)*"
 _EYE = r"eyes? ?"
+_LEFT, _RIGHT = {"l", "left"}, {"r", "right"}
+_AFFIXES = {"base", "mixamorig", "bip", "biped", "valve", "facial", "master", "def", "adj", "j", "c", "cc", "b", "x"}
+"""Words that rigs put before or after a name, or that mark a bone as deforming or central."""
+_HEADS = ({"head"}, {"skull"}, {"kopf"}, {"tete"})
+_JAWS = ({"jaw"}, {"jawbone"}, {"jaw", "root"}, {"mandible"})
+_EYE_BONES = ({"eye"}, {"face", "eye"}, {"eyeball"}, {"eye", "socket"})
 
 
 def _words(*patterns: str) -> re.Pattern[str]:
@@ -159,3 +166,56 @@ def spaced(name: str) -> str:
     """Return the words of a name in lower case between spaces: `EyeLeft.001` becomes ` eye left `."""
     apart = re.sub(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", " ", name)
     return " " + " ".join(re.sub(r"[\W\d_]+", " ", apart.lower()).split()) + " "
+
+
+@dataclass(frozen=True)
+class FaceBones:
+    """Names of the bones that move with a face; "" where a rig has none. Left and right are the character's own."""
+
+    head: str = ""
+    eye_right: str = ""
+    eye_left: str = ""
+    jaw: str = ""
+
+
+def find_bones(names: Sequence[str], weights: Mapping[str, float]) -> FaceBones:
+    """Find the bones of head, eyes and jaw.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Bones of the armature.
+    weights : mapping of str to float
+        Share of the skin of the face that each bone moves, for rigs with uninformative names.
+
+    Returns
+    -------
+    FaceBones
+        Their names. Of several candidates, the one with the fewest other words in its name.
+
+    Notes
+    -----
+    Names are split into words. Case, side and the prefixes of Mixamo, VRM, 3ds Max, Rigify, Auto-Rig and MetaHuman are
+    ignored.
+    """
+    head = _best(names, _HEADS, set()) or max(weights, key=lambda name: weights[name], default="")
+    return FaceBones(
+        head, _best(names, _EYE_BONES, _RIGHT), _best(names, _EYE_BONES, _LEFT), _best(names, _JAWS, set())
+    )
+
+
+def _best(names: Sequence[str], wanted: Sequence[set[str]], side: set[str]) -> str:
+    """Return the best of `names` whose words are one of `wanted` and a side; "" if there is none."""
+    for words in wanted:
+        for name in names:
+            found = _words_of(name)
+            sides = found & (_LEFT | _RIGHT)
+            if found - _LEFT - _RIGHT - _AFFIXES == words and (bool(sides & side) if side else not sides):
+                return name
+    return ""
+
+
+def _words_of(name: str) -> set[str]:
+    """Return the words of a name in lower case, without numbers: `J_Bip_C_Head` and `head.x` contain "head"."""
+    apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
+    return {word for word in re.split(r"[^a-z]+", apart.lower()) if word}

@@ -1,16 +1,28 @@
-"""Contact between the lips, and between the lids of an eye (method.md, section 9.6)."""
+"""Contact between the lips, and between the lids of an eye (method.md, section 9.6); the line between joined lips
+(section 7.3).
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, outer_eye_distance
-from ..mesh.intersections import crossing_pairs
-from ..mesh.nearest import NearestPoints
-from ..mesh.surface import surface_normals, triangulate
+from ..errors import HeadError
+from ..face.landmarks import (
+    EYE_LEFT,
+    EYE_RIGHT,
+    LIPS,
+    MOUTH_CORNERS,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    outer_eye_distance,
+)
+from ..mesh.surface import NearestPoints, SurfaceGraph, surface_normals, triangulate
+from ..mesh.triangles import crossing_pairs
 from ..numeric.arrays import FloatArray, IntArray
 
 _LID_ATTEMPTS = ((1, 0.04), (1, 0.02))
@@ -18,6 +30,12 @@ _LID_ATTEMPTS = ((1, 0.04), (1, 0.02))
 must not pass, and the largest distance along the slit at which they count. All lengths are in outer-eye distances."""
 _LIP_ATTEMPTS = ((3, 0.04), (1, 0.04), (3, 0.02), (6, 0.02))
 """Attempts at the lips. Thick lips need more neighbours than thin lids."""
+_BETWEEN = (0.25, 0.5, 0.75)
+"""Positions of the inner landmarks of each lip, as shares of the line's length."""
+_MIN_VERTICES = 7
+"""Smallest number of vertices of the line: both corners, the three landmarks of a lip, and one between any two."""
+
+
 _SLITS = (
     (EYE_RIGHT, 0, 0.002, _LID_ATTEMPTS),
     (EYE_LEFT, 0, 0.002, _LID_ATTEMPTS),
@@ -196,3 +214,73 @@ def _edges(faces: IntArray) -> NDArray[np.intp]:
     following = np.where(following < 0, faces[:, :1], following)
     pairs = np.stack([faces, following], axis=-1)[faces >= 0]
     return np.asarray(np.unique(np.concatenate([pairs, pairs[:, ::-1]]), axis=0), dtype=np.intp)
+
+
+def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
+    """Find a line of edges between the lips.
+
+    Parameters
+    ----------
+    graph : SurfaceGraph
+        Graph of the head.
+    landmarks : (66,) array of int
+        Vertex of each landmark.
+
+    Returns
+    -------
+    (N,) int
+        Vertices from the right corner of the mouth to the left one.
+
+    Raises
+    ------
+    HeadError
+        If no line of edges leads along the skin from corner to corner, or it has too few vertices.
+    """
+    right, left = (int(v) for v in landmarks[MOUTH_CORNERS])
+    points = graph.vertices[landmarks]
+    between = (points[MOUTH_INNER_UPPER] + points[MOUTH_INNER_LOWER[::-1]]) / 2.0
+    shares = np.array(_BETWEEN)[:, None]
+    chord = graph.vertices[right] * (1.0 - shares) + graph.vertices[left] * shares
+    # The median, as one of the three pairs may be off on a scan with flat lips.
+    middle = chord[1] + np.median(between - chord, axis=0)
+    stops = [right, int(np.argmin(np.linalg.norm(graph.vertices - middle, axis=1))), left]
+    line = [right]
+    for start, end in pairwise(stops):
+        for vertex in graph.path(start, end)[1:]:
+            # A path that returns to the line has gone around something: drop the loop.
+            line = line[: line.index(vertex) + 1] if vertex in line else [*line, vertex]
+    joined = all(b in graph.neighbours(a) for a, b in pairwise(line))
+    if not joined:
+        raise HeadError("No line of edges leads from one mouth corner to the other. Find the face again.")
+    if len(line) < _MIN_VERTICES:
+        raise HeadError("The mesh is too coarse between the lips. Subdivide the mouth first.")
+    return np.array(line, dtype=np.intp)
+
+
+def rim_landmarks(points: FloatArray) -> NDArray[np.intp]:
+    """Return the indices, (3,), into the line through `points` (N, 3) for the inner landmarks of a lip."""
+    return nearest_at_shares(points, _BETWEEN)
+
+
+def nearest_at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np.intp]:
+    """Select the points of a line that are nearest to given shares of its length.
+
+    Parameters
+    ----------
+    points : (N, 3) float64
+        The line, with ``N >= S + 2``.
+    shares : sequence of float
+        Ascending shares of the length, S of them.
+
+    Returns
+    -------
+    (S,) int
+        Different indices, none of them an end.
+    """
+    steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)
+    chosen = np.array([int(np.argmin(np.abs(along[1:-1] - share))) + 1 for share in shares])
+    # On uneven edges two shares may select the same vertex; move on to the next, for which the line has room.
+    for i in range(1, len(chosen)):
+        chosen[i] = max(chosen[i], chosen[i - 1] + 1)
+    return np.minimum(chosen, len(points) - 1 - len(chosen) + np.arange(len(chosen)))

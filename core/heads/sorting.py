@@ -20,7 +20,7 @@ from ..face.landmarks import (
 from ..mesh.surface import SurfaceGraph
 from ..numeric.arrays import FloatArray, IntArray
 from .part_names import named_part, names_inside, names_upper
-from .parts import Part
+from .rig import Part
 
 _NEAR_EYE = 0.6
 """Largest distance of the middle of an eye's piece from the middle of the eye, seen from the front, in eye widths."""

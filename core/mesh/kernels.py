@@ -1,4 +1,6 @@
-"""Kernels: how far, and how smoothly, a control point moves its surroundings (method.md, section 5.2)."""
+"""Kernels: how far, and how smoothly, a control point moves its surroundings (method.md, section 5.2); warps of space,
+by which given points move to others (section 7.1).
+"""
 
 from __future__ import annotations
 
@@ -9,13 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HeadError
-from ..numeric.arrays import FloatArray
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray, as_points
 
 _WIDE = 3.0
 """Sigma of the wide Gaussian over that of the narrow one. Like the spacings in `KERNELS`, tuned on ICT-FaceKit and the
 built-in head (docs/accuracy/deformation.md)."""
 _NARROW_SHARE = 0.46
 """Share of the narrow Gaussian, tuned on the same heads."""
+_CHUNK = 4_000
 
 
 @dataclass(frozen=True)
@@ -183,3 +187,51 @@ def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     squared += sum((a * a).T)[:, None]
     squared += sum((b * b).T)
     return np.asarray(np.sqrt(np.maximum(squared, 0.0, out=squared), out=squared))
+
+
+class Warp:
+    """The smoothest map of space that takes the `source` points to the `target` points.
+
+    Parameters
+    ----------
+    source, target : (P, 3) array
+        Corresponding points.
+    smoothing : float or (P,) array
+        Added to the diagonal, as a share of the extent of the source, so that points may be missed; 0 meets all.
+
+    Raises
+    ------
+    HeadError
+        If the source points lie in one plane.
+
+    Notes
+    -----
+    A biharmonic spline in three dimensions (equation 7.1): kernel -r and an affine map (Duchon 1977; Bookstein 1989).
+    """
+
+    def __init__(self, source: FloatArray, target: FloatArray, smoothing: float | FloatArray = 1e-3) -> None:
+        self._source = as_points(source, "source", error=HeadError)
+        goal = as_points(target, "target", count=len(self._source), error=HeadError)
+        count = len(self._source)
+        extent = float(np.linalg.norm(np.ptp(self._source, axis=0)))
+        affine = np.column_stack([np.ones(count), self._source])
+        # Interpolation conditions, and below them the side conditions that make the weights orthogonal to affine maps.
+        system = np.zeros((count + 4, count + 4))
+        system[:count, :count] = -distances(self._source, self._source)
+        system[np.arange(count), np.arange(count)] += smoothing * extent
+        system[:count, count:], system[count:, :count] = affine, affine.T
+        try:
+            self._weights = linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))
+        except np.linalg.LinAlgError as error:
+            raise HeadError("The landmarks lie in one plane. Bind them again.") from error
+
+    def __call__(self, points: FloatArray) -> FloatArray:
+        """Return the warped `points`, (N, 3)."""
+        count = len(self._source)
+        out = np.empty((len(points), 3))
+        for start in range(0, len(points), _CHUNK):
+            part = np.asarray(points[start : start + _CHUNK], dtype=np.float64)
+            affine = np.column_stack([np.ones(len(part)), part])
+            out[start : start + _CHUNK] = affine @ self._weights[count:]
+            out[start : start + _CHUNK] -= distances(part, self._source) @ self._weights[:count]
+        return out

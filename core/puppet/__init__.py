@@ -1,1 +1,1 @@
-"""Jobs and performances: which face drives which head, how, and with which outputs."""
+"""Puppets: jobs and presets; live, sources of frames, the worker that tracks them, and calibration."""

@@ -1,1 +1,1 @@
-"""Faces over the network: protocols, a source that receives them, and a sender (streams.md)."""
+"""Faces over the network: protocols, addresses and trust, a source that receives faces, and senders (streams.md)."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from .timeline import HOLD, Timeline
+from .playout import HOLD, Timeline
 
 SILENT = 2.0
 """Seconds without a packet after which another sender may be followed."""

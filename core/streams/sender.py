@@ -12,21 +12,19 @@ from ..bake.arkit import FrameCoefficients
 from ..drive.drive_settings import DriveSettings
 from ..errors import SourceError
 from ..face.rotation import euler_to_matrix, matrix_to_euler
-from ..heads.looks import eyes_of_gaze
+from ..heads.built_in import eyes_of_gaze
 from ..numeric.arrays import FloatArray
-from ..takes.from_animation import IMAGE_SIZE
-from ..takes.from_coefficients import coefficient_face
+from ..takes.measured import IMAGE_SIZE, coefficient_face
 from ..takes.neutral import MIRROR_WIDTH, Neutral
-from ..tracking.mirror import mirror_result
-from ..tracking.result import CAMERA_DISTANCE, TrackResult
+from ..tracking.result import CAMERA_DISTANCE, TrackResult, mirror_result
 from .casting import Address
 from .protocols import live_link, openseeface, vmc
 from .protocols.frames import MAX_DATAGRAM, FaceValues, PacketError
 from .stream_settings import EXPRESSIONS, OWN, PROTOCOLS, SendSettings
 from .transport import datagram
 from .transport.addresses import cannot_send, nobody_receives, resolve
+from .transport.datagram import OwnSender
 from .transport.security import read_key
-from .transport.sessions import OwnSender
 
 SENT = tuple(name for name, protocol in PROTOCOLS.items() if protocol.sent)
 """Names of the protocols that can be sent."""

@@ -12,23 +12,21 @@ from time import perf_counter
 import numpy as np
 
 from ..errors import Message
-from ..face.coefficient_names import COEFFICIENT_MIRROR
-from ..live.sources import LiveFrame, LiveSource
+from ..face.names import COEFFICIENT_MIRROR
 from ..numeric.arrays import FloatArray
-from ..takes.from_coefficients import coefficient_face
+from ..puppet.sources import LiveFrame, LiveSource
+from ..takes.measured import coefficient_face
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .casting import SILENT, Address, Casting, FaceName, Role, label_of
-from .diagnosis import Diagnosis
-from .incoming import Incoming, incoming
+from .diagnosis import Diagnosis, Incoming, incoming
 from .links import ConnectionsLink, DatagramLink, Link
-from .phone import Phone
-from .phone_link import PhoneLink
+from .phone import Phone, PhoneLink
 from .playout import Playout, Shown
 from .protocols.frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
 from .stream_settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
-from .transport.sessions import OwnReceiver, Refusal, RefusedError
+from .transport.datagram import OwnReceiver, Refusal, RefusedError
 
 _MAX_SENDERS = 16
 """Largest number of senders, and of faces of each."""

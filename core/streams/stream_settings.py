@@ -19,11 +19,9 @@ from .protocols.vmc import VmcDecoder
 from .protocols.vrcfacetracking import VrcFaceTrackingDecoder
 from .protocols.vtube_studio import VTubeStudioDecoder
 from .transport import datagram
-from .transport.addresses import EVERYWHERE, LOOPBACK, is_loopback
-from .transport.pairing import Pairing
+from .transport.addresses import EVERYWHERE, LOOPBACK, Pairing, is_loopback
 from .transport.security import read_key
-from .vertex_decoder import VertexDecoder
-from .vertices import VERTICES
+from .vertices import VERTICES, VertexDecoder
 
 OWN = "own"
 _MIN_DELAY = 0.0

@@ -12,8 +12,7 @@ from contextlib import suppress
 from ..errors import Message, SourceError, messages
 from .casting import Address
 from .links import call, has_answered
-from .transport.addresses import resolve
-from .transport.pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing
+from .transport.addresses import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing, resolve
 
 _AGAIN = 1.0
 """Seconds from a failed attempt to the next one."""

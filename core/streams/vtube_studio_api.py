@@ -18,7 +18,7 @@ from websockets.sync.client import ClientConnection, connect
 
 from ..drive.drive_settings import DriveSettings
 from ..errors import Message
-from ..face.coefficient_names import COEFFICIENT_INDEX
+from ..face.names import COEFFICIENT_INDEX
 from ..face.rotation import to_face_axes
 from ..files.reading import read_bytes
 from ..files.writing import write_secret
@@ -135,7 +135,7 @@ def injection(values: dict[str, float], *, found: bool) -> str:
 
 
 class VTubeStudioSender(Connecting):
-    """Sends tracking results to VTube Studio. See `core.live.outputs.Output`.
+    """Sends tracking results to VTube Studio. See `core.puppet.outputs.Output`.
 
     Parameters
     ----------

@@ -1,1 +1,1 @@
-"""Takes: tracked performances, in memory and on disk, independent of any head (method.md, section 8)."""
+"""Takes: tracked performances, independent of any head, in memory and on disk (method.md, section 8)."""

@@ -15,15 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, Message, SourceError
-from ..face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ..files.capture import check_readable
 from ..files.reading import shown
 from ..files.writing import replacing
-from ..media.capture import check_readable
 from ..numeric.arrays import FloatArray
-from .coefficient_take import coefficient_take
-from .live_link_angles import EYES, HEAD, eye_angles, head_angles
+from .curves import coefficient_take
 from .spreadsheet import from_csv
-from .table_angles import AUTOMATIC, angle_of, poses_of, unit_of_angles
+from .table_angles import AUTOMATIC, EYES, HEAD, angle_of, eye_angles, head_angles, poses_of, unit_of_angles
 from .table_text import TextTable, read_table
 from .table_times import is_title_of_time, times_of_rows
 from .take import Take

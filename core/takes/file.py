@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, Message, OutputError, SourceError
+from ..files.capture import check_readable
 from ..files.closing import Closing
 from ..files.reading import read_bytes
 from ..files.writing import reason_of, replacing
-from ..media.capture import check_readable
 from ..tracking.result import TrackResult
 from .format import (
     END,

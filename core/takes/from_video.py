@@ -8,8 +8,8 @@ from os import PathLike
 from pathlib import Path
 
 from ..errors import Message
-from ..media.capture import VideoSource
-from ..media.media_starts import last_image
+from ..files.capture import VideoSource
+from ..files.media_headers import last_image
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter

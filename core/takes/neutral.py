@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import Message, SourceError
-from ..face.actions import ACTION_MIRROR, N_ACTIONS
-from ..face.apertures import eye_apertures, mouth_aperture
-from ..face.landmarks import MIRROR, N_LANDMARKS
+from ..face.landmarks import MIRROR, N_LANDMARKS, eye_apertures, mouth_aperture
+from ..face.names import ACTION_MIRROR, N_ACTIONS
 from ..face.rotation import euler_to_matrix
 from ..files.reading import as_object, parse_json
 from ..heads.regions import REGIONS, rms_extent

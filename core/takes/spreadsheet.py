@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, SourceError
-from ..face.actions import ACTIONS
-from ..face.apertures import eye_apertures, mouth_aperture
-from ..face.coefficient_names import COEFFICIENTS
-from ..face.landmarks import IBUG68_INDICES
+from ..face.landmarks import IBUG68_INDICES, eye_apertures, mouth_aperture
+from ..face.names import ACTIONS, COEFFICIENTS
+from ..files.capture import check_readable
 from ..files.reading import shown
 from ..files.writing import replacing
-from ..media.capture import check_readable
 from .format import info_content, info_of
 from .table_text import TextTable, read_table
 from .take import Take, check_take

@@ -15,9 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, SourceError
-from ..face.actions import N_ACTIONS
-from ..face.coefficient_names import N_COEFFICIENTS
 from ..face.landmarks import N_LANDMARKS
+from ..face.names import N_ACTIONS, N_COEFFICIENTS
 from ..files.assets import version
 from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult

@@ -1,7 +1,8 @@
-"""Takes at other times: interpolated, resampled, shifted, trimmed, or punched in (method.md, section 8.3).
+"""Takes at other times: interpolated, resampled, shifted, trimmed, or punched in (method.md, section 8.3); results
+between and beyond others.
 
-Rotations are interpolated on the sphere, scale geometrically and everything else linearly; landmarks follow from shape
-and pose. Nothing is interpolated across lost or missing frames.
+Rotations are interpolated on the sphere, scale geometrically and everything else linearly; landmarks follow from
+shape and pose. Nothing is interpolated across lost or missing frames.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SourceError
-from ..face.rotation import euler_to_matrix, mix_rotations
+from ..face.names import N_COEFFICIENTS
+from ..face.rotation import euler_to_matrix, matrix_to_euler, mix_rotations
 from ..numeric.arrays import FloatArray
+from ..tracking.result import TrackResult
 from .mending_settings import BLEND
+from .neutral import Neutral
 from .take import FIELDS, Take, join
 
 _MAX_STEP = 2.5
@@ -288,3 +292,67 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
     parts = [take.part(take.times < inserted.times[0]), mix(under, inserted, share), take.part(take.times > end)]
     spans = [*take.info.get("punched_in", []), [float(start), float(end)]]
     return replace(join(parts), info={**take.info, "punched_in": spans})
+
+
+def between(first: TrackResult, second: TrackResult, share: float) -> TrackResult:
+    """Interpolate, or extrapolate, between two results with a face.
+
+    Parameters
+    ----------
+    first, second : TrackResult
+        Results of the same source, with a face.
+    share : float
+        Position between the two: 0 gives `first`, 1 gives `second`, and larger values continue the motion.
+
+    Returns
+    -------
+    TrackResult
+        The result, with confidence 0, as it was not tracked. Values that are unknown in either are unknown.
+    """
+
+    def mixed(name: str) -> FloatArray:
+        a, b = getattr(first, name), getattr(second, name)
+        return np.asarray(a + share * (b - a))
+
+    pose, shape = mixed("pose"), mixed("shape")
+    pose[0] = first.pose[0] * (second.pose[0] / first.pose[0]) ** share
+    turns = second.pose[1:4] - first.pose[1:4]
+    pose[1:4] = first.pose[1:4] + share * (np.mod(turns + np.pi, 2.0 * np.pi) - np.pi)
+    return replace(
+        second,
+        pose=pose,
+        shape=shape,
+        landmarks=pose[0] * (shape @ euler_to_matrix(*pose[1:4]).T)[:, :2] + pose[4:],
+        confidence=0.0,
+        pupils=mixed("pupils"),
+        gaze=mixed("gaze"),
+        vergence=float(mixed("vergence")),
+        actions=mixed("actions"),
+        coefficients=np.clip(mixed("coefficients"), 0.0, 1.0),
+    )
+
+
+def at_rest(neutral: Neutral, like: TrackResult) -> TrackResult:
+    """Return the result of a neutral face.
+
+    Parameters
+    ----------
+    like : TrackResult
+        A result with a face from the same source. If it has coefficients, those of the result are 0.
+
+    Returns
+    -------
+    TrackResult
+        The face at rest, looking straight ahead, at the performer's usual position.
+    """
+    stated = np.isfinite(like.coefficients).all()
+    scale, x, y = neutral.position
+    return replace(
+        like,
+        pose=np.array([scale, *matrix_to_euler(neutral.rotation), x, y]),
+        shape=neutral.shape,
+        gaze=neutral.gaze,
+        vergence=neutral.vergence,
+        actions=neutral.actions,
+        coefficients=np.zeros(N_COEFFICIENTS) if stated else like.coefficients,
+    )

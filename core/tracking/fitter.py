@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, INNER, MIRROR, N_LANDMARKS
 from ..numeric.arrays import FloatArray
-from .check import N_FEATURES
 from .experts import PartExperts, ResponseMaps
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel
+from .network import N_FEATURES
 from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
 

@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.apertures import eye_apertures
-from ..face.landmarks import EYE_LEFT, EYE_RIGHT
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, eye_apertures
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray
 from .reference import warp_to_reference

@@ -13,18 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, Message, ModelError, OutputError
-from ..face.actions import N_ACTIONS
 from ..face.landmarks import N_LANDMARKS, outer_eye_distance
+from ..face.names import N_ACTIONS
 from ..files.archives import MAX_BYTES, Archive, read_archive
 from ..files.reading import read_bytes
 from ..numeric.arrays import FloatArray, IntArray
-from .action_experts import ActionExperts
 from .cascade_detector import DETECTORS
-from .check import N_FEATURES, FaceCheck
 from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
-from .network import Network
-from .network_detector import OUTPUTS, STRIDE, NetworkDetector
-from .patch_experts import PATCH, PatchExperts
+from .network import N_FEATURES, OUTPUTS, STRIDE, FaceCheck, Network, NetworkDetector
+from .patch_experts import PATCH, ActionExperts, PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"

@@ -1,22 +1,31 @@
-"""The result of tracking one frame, which everything after the tracker reads."""
+"""The result of tracking one frame, which everything after the tracker reads; mirrored, or with hidden lips.
+
+Performers who watch themselves expect a mirror: if they raise the brow on the left of the screen, the avatar's brow
+on the left should rise. Mirroring results costs nothing, and the video stays as it is.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import nan
 from typing import Any
 
 import numpy as np
 
-from ..face.actions import N_ACTIONS
-from ..face.apertures import eye_apertures, mouth_aperture
-from ..face.coefficient_names import N_COEFFICIENTS
-from ..face.landmarks import N_LANDMARKS
+from ..face.landmarks import LIPS, MIRROR, N_LANDMARKS, eye_apertures, mouth_aperture
+from ..face.names import ACTION_MIRROR, COEFFICIENT_MIRROR, N_ACTIONS, N_COEFFICIENTS
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray
 
 CAMERA_DISTANCE = 6.0
 """Assumed distance of the camera in eye distances (equation 4.4), about that of a webcam."""
+_KNOWN = 0.6
+"""Smallest mean certainty of the lips with which they are remembered."""
+_SEEN = 0.5
+"""Mean certainty of the lips below which they are partly held. In strangers' clips a mouth with the tongue out, a beard
+or a scream has 0.53 or more, one behind a hand 0.2 to 0.5."""
+_HIDDEN = 0.4
+"""Mean certainty of the lips below which they are held completely."""
 
 
 def _unknown(*shape: int) -> FloatArray:
@@ -144,7 +153,7 @@ class TrackResult:
     def eye_apertures(self) -> FloatArray:
         """Apertures of the right and left eye without the pose, in outer-eye distances, (2,); 0 is shut.
 
-        See `core.face.apertures`.
+        See `core.face.landmarks`.
         """
         return eye_apertures(self.shape)
 
@@ -152,3 +161,96 @@ class TrackResult:
     def mouth_aperture(self) -> float:
         """Aperture between the inner lips without the pose, in outer-eye distances; 0 is closed."""
         return float(mouth_aperture(self.shape))
+
+
+_POSE = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
+_GAZE = np.array([1.0, -1.0])
+_SHAPE = np.array([-1.0, 1.0, 1.0])
+
+
+def mirror_result(result: TrackResult, width: float, mode_signs: FloatArray | None = None) -> TrackResult:
+    """Mirror a result left to right. Mirroring twice gives `result` again.
+
+    Parameters
+    ----------
+    result : TrackResult
+        The result to mirror.
+    width : float
+        Width of the image in pixels. Pixel centres have integer coordinates, so x becomes ``width - 1 - x``.
+    mode_signs : (K,) float64, optional
+        `PointDistributionModel.mirror_signs` of the model. Without them the shape parameters become NaN; everything
+        else is exact in any case.
+
+    Returns
+    -------
+    TrackResult
+        What tracking would have found in the mirrored image.
+    """
+    signs = np.full(result.shape_params.shape, np.nan) if mode_signs is None else mode_signs
+    landmarks, pupils = _flipped(result.landmarks, width)[MIRROR], _flipped(result.pupils, width)[::-1]
+    pose = result.pose * _POSE
+    pose[4] += width - 1.0
+    return replace(
+        result,
+        landmarks=landmarks,
+        pose=pose,
+        shape_params=result.shape_params * signs,
+        shape=(result.shape * _SHAPE)[MIRROR],
+        landmark_confidence=result.landmark_confidence[MIRROR],
+        pupils=pupils,
+        gaze=result.gaze * _GAZE,
+        actions=result.actions[ACTION_MIRROR],
+        coefficients=result.coefficients[COEFFICIENT_MIRROR],
+    )
+
+
+def _flipped(points: FloatArray, width: float) -> FloatArray:
+    """Mirror the x of image points (N, 2)."""
+    return np.stack([width - 1.0 - points[:, 0], points[:, 1]], axis=1)
+
+
+def seen_lips(certainty: FloatArray) -> float:
+    """Return the mean certainty of the lips, 0 to 1, for `certainty` (66,) of each landmark."""
+    return float(certainty[LIPS].mean())
+
+
+def is_hidden(certainty: FloatArray) -> bool:
+    """Return whether the lips are held, for `certainty` (66,) of each landmark; False if it is unknown."""
+    return seen_lips(certainty) < _SEEN
+
+
+class HiddenMouth:
+    """Holds the lips while something covers them, which the experts would take for a gaping mouth."""
+
+    def __init__(self) -> None:
+        self._lips: FloatArray | None = None
+
+    def reset(self) -> None:
+        """Forget the lips, as another face follows."""
+        self._lips = None
+
+    def hold(self, shape: FloatArray, certainty: FloatArray) -> FloatArray:
+        """Return a shape whose lips are replaced by the last well-seen ones, by as much as they are hidden.
+
+        Parameters
+        ----------
+        shape : (66, 3) float64
+            Fitted shape: head frame, outer-eye distances.
+        certainty : (66,) float64
+            Certainty of each landmark, 0 to 1.
+
+        Returns
+        -------
+        (66, 3) float64
+            The shape; `shape` itself if the mouth is seen.
+        """
+        seen = seen_lips(certainty)
+        if seen >= _KNOWN:
+            self._lips = shape[LIPS]
+        # From 0 where the lips are just seen to 1 where they are hidden, so that nothing jumps.
+        share = min((_SEEN - seen) / (_SEEN - _HIDDEN), 1.0)
+        if share <= 0.0 or self._lips is None:
+            return shape
+        held = shape.copy()
+        held[LIPS] += share * (self._lips - shape[LIPS])
+        return np.asarray(held)

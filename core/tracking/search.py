@@ -14,7 +14,7 @@ from ..numeric.arrays import FloatArray
 from .cascade_detector import EFFORTS, CascadeDetector, Effort, Step
 from .fitter import COARSE, REFINED, FaceFitter, Fit
 from .model_file import TrackerModel
-from .network_detector import SIDES, NetworkDetector
+from .network import SIDES, NetworkDetector
 from .pdm import FittedShape
 
 _MAX_BOXES = 60

@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..files.assets import ASSETS
 from ..numeric.arrays import FloatArray, as_image
-from .action_experts import ActionExperts, measure_actions
-from .choice import FaceChoice
 from .fitter import FaceFitter
 from .gaze import find_gaze
-from .hidden_mouth import HiddenMouth
-from .identity import PerformerIdentity, describe_face
+from .identity import FaceChoice, PerformerIdentity, describe_face
 from .model_file import TrackerModel, load_model
+from .patch_experts import ActionExperts, measure_actions
 from .pdm import FittedShape, PointDistributionModel
-from .result import TrackResult, project_shape
+from .result import HiddenMouth, TrackResult, project_shape
 from .search import Candidate, FaceSearch, largest
 from .tracking_settings import DEFAULTS, NETWORK, TrackingSettings
 

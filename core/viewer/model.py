@@ -1,13 +1,15 @@
-"""What the page loads once for a head: its vertices and everything that moves them, as the graphics card needs it.
+"""What the page loads once for a head, as the graphics card needs it, and the frames that move it.
 
 The page computes what `HeadDriver` does. The skin is ``rest + W d + sum a_k M_k``, with the displacements `d` of the
-landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, and lashes
-and the like follow the skin. A head that is driven by shape keys has no `W`, and its `a` are the values of the keys.
+landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, and
+lashes and the like follow the skin. A head that is driven by shape keys has no `W`, and its `a` are the values of
+the keys.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +17,17 @@ from numpy.typing import NDArray
 
 from ..deform.rbf import RBFDeformer
 from ..drive.driver import HeadDriver
-from ..errors import HeadError
+from ..errors import FacemimeError, HeadError
 from ..face.landmarks import N_LANDMARKS
 from ..heads.appearance import Appearance, AttachedPart, Material
 from ..heads.rig import neck_of
-from ..live.key_driver import KeyDriver
 from ..numeric.arrays import FloatArray, IntArray
+from ..puppet.head_drivers import KeyDriver
+from .page import digest
 
 MAGIC = b"FMVM"
+
+
 STILL, SKIN, EYE_RIGHT, EYE_LEFT, JAW, RIDING, TONGUE = range(7)
 """What a vertex of the page follows."""
 MAX_AMOUNTS = 512
@@ -233,3 +238,55 @@ def _drawn(appearance: Appearance, count: int) -> tuple[list[Material], dict[str
 def _described(surface: Material, images: list[bytes]) -> dict[str, object]:
     number = next((number for number, image in enumerate(images) if image is surface.image), -1)
     return {"colour": list(surface.colour), "roughness": surface.roughness, "image": number, "alpha": surface.alpha}
+
+
+class Scene:
+    """The heads that are shown.
+
+    Parameters
+    ----------
+    appearances : sequence of Appearance
+        Appearance of each head.
+
+    Attributes
+    ----------
+    models : tuple of ViewerModel
+        What pages load; empty if a head cannot be shown.
+    number : int
+        Increases with every change.
+    path : str
+        Folder of the models, which depends on their content alone.
+    message : str
+        Reason why the heads cannot be shown; otherwise "".
+    """
+
+    def __init__(self, appearances: Sequence[Appearance]) -> None:
+        self.models: tuple[ViewerModel, ...] = ()
+        self.number, self.path, self.message = 0, "", ""
+        self._appearances = tuple(appearances)
+        self._made_of: list[object] = []
+
+    def update(self, drivers: Sequence[HeadDriver | KeyDriver]) -> bool:
+        """Make the models again if the heads or their deformers have changed, and return whether they have."""
+        made_of = [part for driver in drivers for part in _made_of(driver)]
+        if len(made_of) == len(self._made_of) and all(a is b for a, b in zip(made_of, self._made_of, strict=True)):
+            return False
+        self._made_of = made_of
+        try:
+            self.models, self.message = tuple(map(viewer_model, drivers, self._appearances)), ""
+        except FacemimeError as error:
+            self.models, self.message = (), str(error)
+        self.number += 1
+        self.path = digest(*[data for model in self.models for data in (model.data, *model.images)])
+        return True
+
+
+def description(number: int, path: str, models: Sequence[ViewerModel]) -> str:
+    """Return the description of a scene that pages load first, JSON."""
+    return json.dumps({"scene": number & 0xFFFF, "path": path, "images": [len(model.images) for model in models]})
+
+
+def _made_of(driver: HeadDriver | KeyDriver) -> tuple[object, ...]:
+    """Return the objects that a model depends on, compared by identity; a new calibration keeps them."""
+    head = driver.head if isinstance(driver, KeyDriver) else driver
+    return driver.keys if isinstance(driver, KeyDriver) else None, head.rig, head.deformer

@@ -10,12 +10,10 @@ from websockets.sync.client import ClientConnection, connect
 from ..drive.driver import HeadDriver, HeadFrame
 from ..errors import Message, OutputError
 from ..heads.appearance import Appearance
-from ..live.key_driver import KeyDriver
+from ..puppet.head_drivers import KeyDriver
 from ..streams.transport.background import Connecting
-from .messages import encode_frame
-from .model import ViewerModel
-from .nats import PONG, NatsError, NatsReader, Operation, connecting, publishing
-from .scene import Scene
+from .messages import PONG, NatsError, NatsReader, Operation, connecting, encode_frame, publishing
+from .model import Scene, ViewerModel
 from .site import SENDER, SUBJECT, Site
 
 _AGAIN = 1.0

@@ -26,14 +26,13 @@ from websockets.server import ServerProtocol
 
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
-from ..live.key_driver import KeyDriver
+from ..puppet.head_drivers import KeyDriver
 from ..streams.transport.addresses import cannot_listen
 from ..streams.transport.background import Serving, listening
 from .gate import MAX_CONNECTIONS, Gate, Guest
 from .messages import CLOCK_REQUEST, encode_clock, encode_frame
-from .model import ViewerModel
+from .model import Scene, ViewerModel, description
 from .page import Content, page_files, security_headers
-from .scene import Scene, description
 from .viewer_settings import MAX_VIEWERS, ViewerSettings, new_token, same_token
 
 _STREAM = "stream"

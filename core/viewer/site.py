@@ -15,10 +15,9 @@ from ..errors import OutputError, SourceError
 from ..files.reading import read_bytes
 from ..files.writing import replacing, write_secret
 from ..streams.transport.addresses import EVERYWHERE, LOOPBACK, is_loopback
-from .model import ViewerModel
-from .nats import MAX_PAYLOAD
+from .messages import MAX_PAYLOAD
+from .model import ViewerModel, description
 from .page import content_policy, page_files
-from .scene import description
 
 SUBJECT = "facemime"
 """Subject of the frames."""

@@ -1,4 +1,4 @@
-"""Address of the viewer, and access to it."""
+"""Address of the viewer, access to it, and its QR code."""
 
 from __future__ import annotations
 
@@ -11,6 +11,10 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
 from ..errors import OutputError, SourceError
 from ..files.reading import read_bytes
 from ..files.writing import write_secret
@@ -20,6 +24,10 @@ from ..streams.transport.security import server_context
 PORT = 21574
 MAX_VIEWERS = 16
 """Largest number of pages that may watch at a time."""
+_QUIET = 4
+"""Width of the margin in modules that ISO/IEC 18004 requires."""
+
+
 _HOST = re.compile(r"(?:\[[0-9a-fA-F:.]{2,45}\]|[0-9A-Za-z._-]{1,253})(?::[0-9]{1,5})?")
 """A host as browsers write it: the policy of the page repeats it, so it must have nothing else."""
 _MIN_TOKEN = 16
@@ -170,3 +178,18 @@ def _without_port(host: str) -> str:
     if host.startswith("["):
         return host[1:].partition("]")[0]
     return host.rpartition(":")[0] if host.count(":") == 1 else host
+
+
+def qr_code(text: str) -> NDArray[np.bool_]:
+    """Return the modules of the QR code of a text, (N, N), true where dark, with the margin."""
+    dark = cv2.QRCodeEncoder.create().encode(text) < 128
+    rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
+    inner = dark[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    return np.asarray(np.pad(inner, _QUIET), dtype=np.bool_)
+
+
+def as_text(code: NDArray[np.bool_]) -> str:
+    """Format a QR code as lines of half blocks, for a terminal with light text on a dark background."""
+    padded = np.pad(code, ((0, len(code) % 2), (0, 0)))
+    pairs = zip(padded[::2], padded[1::2], strict=True)
+    return "\n".join("".join("█▀▄ "[2 * a + b] for a, b in zip(*pair, strict=True)) for pair in pairs)

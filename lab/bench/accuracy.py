@@ -13,8 +13,7 @@ from time import perf_counter
 import cv2
 import numpy as np
 
-from facemime.core.face.apertures import eye_apertures, mouth_aperture
-from facemime.core.face.landmarks import INNER, OUTER_EYE_CORNERS
+from facemime.core.face.landmarks import INNER, OUTER_EYE_CORNERS, eye_apertures, mouth_aperture
 from lab.bench.peers import Peer
 
 LOST_ABOVE = 10.0

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 
 from facemime.core.drive.actions import ActionDriver
-from facemime.core.face.actions import ACTIONS, N_ACTIONS
+from facemime.core.face.names import ACTIONS, N_ACTIONS
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker

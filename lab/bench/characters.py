@@ -32,12 +32,10 @@ from facemime.blender.rendering import render_frames
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.cli.character import draw_landmarks
-from facemime.core.binding.eye_contours import eye_openness
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.apertures import lid_gaps, lip_gaps
-from facemime.core.face.landmarks import LOWER_LIPS, MOUTH_CORNERS, UPPER_LIPS
-from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import HeadRig
+from facemime.core.face.landmarks import LOWER_LIPS, MOUTH_CORNERS, UPPER_LIPS, lid_gaps, lip_gaps
+from facemime.core.heads.portrait import eye_openness
+from facemime.core.heads.rig import HeadRig, Part
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take

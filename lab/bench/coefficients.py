@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker

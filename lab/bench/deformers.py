@@ -20,7 +20,7 @@ from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
 from facemime.core.face.landmarks import N_LANDMARKS, from_ibug
 from facemime.core.heads.regions import DEFAULT_KERNEL, sharp_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.mesh.pieces import islands
+from facemime.core.mesh.surface import islands
 from lab.bench.heads import Points, TrueHead, random_mixtures
 
 Predict = Callable[[NDArray[np.float32]], NDArray[np.float32]]

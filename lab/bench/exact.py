@@ -14,8 +14,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.face.actions import ACTIONS
 from facemime.core.face.landmarks import JAW
+from facemime.core.face.names import ACTIONS
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 from lab.training.data import ROOT

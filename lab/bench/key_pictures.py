@@ -18,7 +18,7 @@ from facemime.blender.heads.expression_keys import make_expression_keys
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.preview_scene import setup_preview
 from facemime.blender.rendering import render_frames
-from facemime.core.keys.key_sets import KEY_SETS
+from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.tracking.overlay import draw_label
 
 ROOT = Path(__file__).resolve().parents[2]

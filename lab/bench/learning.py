@@ -16,11 +16,10 @@ import cv2
 import numpy as np
 
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.apertures import lid_gaps
-from facemime.core.face.landmarks import INNER
+from facemime.core.face.landmarks import INNER, lid_gaps
 from facemime.core.heads.rig import built_in_head
-from facemime.core.live.calibration import NeutralCalibration
-from facemime.core.live.learning import PerformerLearner
+from facemime.core.puppet.learning import PerformerLearner
+from facemime.core.puppet.performer import NeutralCalibration
 from facemime.core.takes.neutral import Neutral
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker

@@ -18,7 +18,7 @@ import numpy as np
 import facemime
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, write_landmarks
-from facemime.core.live.timing import STAGES
+from facemime.core.puppet.timing import STAGES
 from facemime.sessions.live import LiveSession
 from facemime.sessions.start import follow_settings, start_session
 from facemime.settings.preferences import preferences

@@ -10,12 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.blender.characters import members_of, read_kinds
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
-from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import HeadRig
-from facemime.core.keys.expression_keys import expression_keys
-from facemime.core.keys.key_quality import key_qualities
-from facemime.core.keys.key_sets import KEY_SETS
+from facemime.core.bake.expression_keys import expression_keys
+from facemime.core.bake.key_quality import key_qualities
+from facemime.core.bake.key_sets import KEY_SETS
+from facemime.core.face.names import COEFFICIENT_INDEX
+from facemime.core.heads.rig import HeadRig, Part
 
 _ARKIT = KEY_SETS["arkit"]
 _MOST_OF_52 = 40

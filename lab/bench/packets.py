@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.coefficient_names import COEFFICIENTS, N_COEFFICIENTS
+from facemime.core.face.names import COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.heads.appearance import Appearance, built_in_appearance
 from facemime.core.heads.rig import built_in_head
 from facemime.core.streams.links import LENGTH
@@ -34,12 +34,10 @@ from facemime.core.streams.protocols.openseeface import OpenSeeFaceDecoder
 from facemime.core.streams.protocols.vmc import VmcDecoder
 from facemime.core.streams.protocols.vrcfacetracking import VrcFaceTrackingDecoder
 from facemime.core.streams.protocols.vtube_studio import VTubeStudioDecoder
-from facemime.core.streams.transport.datagram import encode_face
-from facemime.core.streams.transport.sessions import OwnReceiver, OwnSender
-from facemime.core.streams.vertex_decoder import VertexDecoder
+from facemime.core.streams.transport.datagram import OwnReceiver, OwnSender, encode_face
+from facemime.core.streams.vertices import VertexDecoder, encode_frame, encode_mesh
 from facemime.core.streams.vertices import encode_face as encode_points
-from facemime.core.streams.vertices import encode_frame, encode_mesh
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.tracking.result import TrackResult
 
 _FACE = FaceValues(np.linspace(0.0, 1.0, N_COEFFICIENTS), np.array([0.1, -0.2, 0.05]))

@@ -24,7 +24,7 @@ from facemime.core.face.landmarks import from_ibug
 from facemime.core.files.setting import settings_of
 from facemime.core.heads.regions import REGIONS, UPPER, membership, sharp_regions
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.puppet.built_in_presets import built_in_path, read_preset
+from facemime.core.puppet.presets import built_in_path, read_preset
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.takes.take import Take

@@ -20,9 +20,9 @@ from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.motion import select_distinct_frames
 from facemime.core.face.landmarks import from_ibug
+from facemime.core.files.capture import VideoSource
 from facemime.core.heads.regions import membership, sharp_regions
 from facemime.core.heads.rig import HeadRig
-from facemime.core.media.capture import VideoSource
 from facemime.core.puppet.job import PuppetJob
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.take import Take

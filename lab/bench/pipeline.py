@@ -22,7 +22,7 @@ from facemime.blender.rigs import read_rig
 from facemime.core.bake.arkit import FrameCoefficients
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.media.capture import VideoSource
+from facemime.core.files.capture import VideoSource
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker

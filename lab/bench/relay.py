@@ -28,8 +28,8 @@ import numpy as np
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.appearance import built_in_appearance
 from facemime.core.heads.rig import built_in_head
-from facemime.core.takes.from_coefficients import coefficient_face
-from facemime.core.viewer.nats import PING, NatsReader, connecting, subscribing
+from facemime.core.takes.measured import coefficient_face
+from facemime.core.viewer.messages import PING, NatsReader, connecting, subscribing
 from facemime.core.viewer.relay import RelaySender
 from facemime.core.viewer.server import ViewerServer
 from facemime.core.viewer.site import SUBJECT, VIEWER, Relay, Site

@@ -21,18 +21,17 @@ import numpy as np
 
 import facemime
 from facemime.core.drive.drive_settings import DriveSettings
+from facemime.core.files.capture import VideoSource
 from facemime.core.heads.rig import built_in_head
-from facemime.core.live.head_drivers import LiveHead
-from facemime.core.live.worker import LiveOptions, LiveWorker
-from facemime.core.media.capture import VideoSource
+from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.streams.playout import Playout
 from facemime.core.streams.protocols.frames import PacketError
 from facemime.core.streams.sender import StreamSender
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import SendSettings, StreamSettings
 from facemime.core.streams.transport import datagram
-from facemime.core.streams.transport.identity import load_identity
-from facemime.core.streams.transport.security import write_key
+from facemime.core.streams.transport.security import load_identity, write_key
 from facemime.core.streams.transport.tls_server import TlsSender
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.neutral import calibrate

@@ -22,10 +22,10 @@ from facemime.blender.preview_scene import setup_preview
 from facemime.blender.rendering import render_frames, set_rate
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
-from facemime.core.media.capture import VideoSource
+from facemime.core.files.capture import VideoSource
 from facemime.core.puppet.puppet_settings import PuppetSettings
-from facemime.core.takes.figure import draw_before_after
 from facemime.core.takes.from_video import track_video
+from facemime.core.takes.mending import draw_before_after
 from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.take import Take
 from facemime.core.takes.timing import punch_in, shift_time, trim

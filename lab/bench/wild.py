@@ -15,7 +15,7 @@ import numpy as np
 
 from facemime.core.errors import FacemimeError, SourceError
 from facemime.core.face.landmarks import IBUG68_INDICES
-from facemime.core.media.images import IMAGE_SUFFIXES, read_image
+from facemime.core.files.capture import IMAGE_SUFFIXES, read_image
 from lab.bench.accuracy import LOST_ABOVE, Located, differences, eye_distances, locate_all
 from lab.bench.peers import Peer, add_options, chosen_peers
 from lab.bench.report import Table, finish, parser

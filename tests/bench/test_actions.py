@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facemime.core.face.actions import ACTIONS, N_ACTIONS
+from facemime.core.face.names import ACTIONS, N_ACTIONS
 from lab.bench.actions import Seen, auc, rows_of
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED
 from lab.bench.coefficients import Performed, rows_of, summary
 from lab.training.coefficients.script import random_expression, random_script, script_at
 

@@ -11,7 +11,7 @@ import pytest
 import facemime
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.new_heads import add_head
-from facemime.core.live.sources import PacedSource
+from facemime.core.puppet.sources import PacedSource
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions.session import Session

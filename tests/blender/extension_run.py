@@ -92,7 +92,7 @@ def send_across_networks(bpy) -> int:
     pairing = importlib.import_module(f"{streams}.transport.pairing").parse_pairing(line)
     settings = importlib.import_module(f"{streams}.stream_settings").StreamSettings(pairing=pairing)
     source = importlib.import_module(f"{streams}.source").StreamSource(settings, every=True)
-    face = importlib.import_module(f"{MODULE}.core.takes.from_coefficients").coefficient_face()
+    face = importlib.import_module(f"{MODULE}.core.takes.measured").coefficient_face()
     result = face.result([0.5] * 52, [0.0] * 3, None)
     sender = importlib.import_module(f"{MODULE}.settings.values").open_sender(bpy.context.scene.facemime)
     received, end = 0, time.monotonic() + 60.0

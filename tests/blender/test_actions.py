@@ -18,7 +18,7 @@ from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.face.actions import ACTIONS, N_ACTIONS
+from facemime.core.face.names import ACTIONS, N_ACTIONS
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take

@@ -11,10 +11,10 @@ from facemime.core.bake import arkit
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.bake.fit import fit_keys
-from facemime.core.bake.key_map import best_preset, exclusive_keys
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE_NAMES, FITTED
+from facemime.core.bake.key_sets import KEY_SETS
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE_NAMES, FITTED
 from facemime.core.heads.built_in import load_head
-from facemime.core.keys.key_sets import KEY_SETS
+from facemime.core.heads.key_map import best_preset, exclusive_keys
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 

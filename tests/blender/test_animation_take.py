@@ -8,8 +8,8 @@ from facemime.blender.animation.sampling import Sampling
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.face.coefficient_names import COEFFICIENTS
 from facemime.core.face.landmarks import outer_eye_distance
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.takes.file import load_take
 from facemime.core.takes.neutral import calibrate
 from facemime.settings import takes_store

@@ -19,9 +19,9 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
-from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import FacemimeError, HeadError, OutputError, SourceError
+from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.smooth import smooth_take
 from tests.helpers.curves import curves_of

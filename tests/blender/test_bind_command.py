@@ -11,9 +11,9 @@ from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.cli.bind import DOUBTFUL, parse_mark
 from facemime.cli.character import mark_points
 from facemime.cli.console import REMEDIES, for_terminal
-from facemime.core.binding.bind import MARKS, TOO_COARSE
 from facemime.core.errors import FacemimeError, HeadError
 from facemime.core.face.landmarks import from_ibug, outer_eye_distance
+from facemime.core.heads.bind import MARKS, TOO_COARSE
 from tests.helpers.blenders import ROOT
 from tests.helpers.commands import run
 

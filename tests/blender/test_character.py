@@ -26,7 +26,7 @@ from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.landmarks import outer_eye_distance
-from facemime.core.heads.parts import Part
+from facemime.core.heads.rig import Part
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate

@@ -14,7 +14,7 @@ from facemime.blender.timeline import rate_of
 from facemime.cli.character_files import likely_mesh, object_named, open_file
 from facemime.cli.options import head_file
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.face.names import COEFFICIENT_INDEX
 from facemime.core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from facemime.blender.rigs import read_rig
-from facemime.core.drive import jaw, retarget
+from facemime.core.drive import posing, retarget
 from facemime.core.puppet.performance import Performance
 from facemime.core.takes.file import load_take
 from facemime.settings import user_presets as presets
@@ -42,7 +42,7 @@ def test_old_settings_and_takes_give_the_same_motion_except_for_later_gains(scen
     monkeypatch.setattr(retarget, "_LIP_GAIN", (1.0, 1.0))
     monkeypatch.setattr(retarget, "_CORNER_GAIN", 1.0)
     monkeypatch.setattr(retarget, "_WIDENING_GAIN", 1.0)
-    monkeypatch.setattr(jaw, "_MAX_FACTOR", 1.0)
+    monkeypatch.setattr(posing, "_MAX_FACTOR", 1.0)
     take = load_take(FILES / "take.facetake")
     neutral = json.loads((FILES / "neutral.json").read_text())
     take = replace(take, info={**take.info, "calibration": neutral})

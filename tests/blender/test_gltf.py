@@ -14,7 +14,7 @@ from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError, OutputError
-from facemime.core.mesh.nearest import NearestPoints
+from facemime.core.mesh.surface import NearestPoints
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from tests.helpers.characters import make_character

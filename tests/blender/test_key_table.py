@@ -4,7 +4,7 @@ import bpy
 import pytest
 
 from facemime.blender.heads.new_heads import add_head
-from facemime.core.bake.key_map import load_map
+from facemime.core.heads.key_map import load_map
 
 pytestmark = pytest.mark.usefixtures("in_a_project")
 

@@ -13,7 +13,7 @@ from facemime.blender.names import PART_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.takes.neutral import calibrate
-from facemime.core.tracking.choice import LEFTMOST
+from facemime.core.tracking.identity import LEFTMOST
 from facemime.operators.puppet import running
 from facemime.sessions.live import LiveSession
 from facemime.sessions.session import Session

@@ -304,7 +304,7 @@ sys.path.insert(0, {tests!r})
 import bpy, facemime, numpy as np
 from tests.helpers.clocks import AskedClock
 from facemime.blender.heads.new_heads import add_head
-from facemime.core.live.sources import PacedSource
+from facemime.core.puppet.sources import PacedSource
 from facemime.core.takes.file import save_take
 from tests.helpers.live_ticks import moving, ticks_until
 from pathlib import Path

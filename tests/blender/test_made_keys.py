@@ -18,10 +18,9 @@ from facemime.blender.meshes import driven_by_keys, is_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
 from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.errors import HeadError
-from facemime.core.heads.parts import Part
-from facemime.core.heads.rig import neck_of
-from facemime.core.keys.key_sets import KEY_SETS
+from facemime.core.heads.rig import Part, neck_of
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.operators.steps import in_background

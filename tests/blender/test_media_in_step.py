@@ -10,7 +10,7 @@ import pytest
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.reference import add_reference
 from facemime.blender.timeline import rate_of
-from facemime.core.media.capture import VideoSource
+from facemime.core.files.capture import VideoSource
 from facemime.core.takes.file import save_take
 from facemime.operators import bake
 from tests.helpers.clips import write_variable_clip

@@ -12,10 +12,10 @@ from facemime.blender.meshes import read_landmarks, read_regions, read_selection
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.cli.character_files import bound_character
-from facemime.core.binding.bind import MARKS
 from facemime.core.control_points.select import select_control_points, to_json
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import OUTER_EYE_CORNERS, from_ibug
+from facemime.core.heads.bind import MARKS
 from facemime.core.takes.file import load_take, save_take
 from lab.training.data import DATA
 from tests.helpers.characters import make_character, shown

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from facemime.blender.heads.new_heads import add_head
-from facemime.core.live.sources import TakePlayer
-from facemime.core.live.worker import LiveWorker
+from facemime.core.puppet.sources import TakePlayer
+from facemime.core.puppet.worker import LiveWorker
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions import calibrating
 from facemime.settings.performers import read_calibration, stored_performers, write_calibration

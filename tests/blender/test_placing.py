@@ -10,8 +10,8 @@ from facemime.blender.heads.binding import propose_head_regions, read_marks
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.heads.placing import Placing, marks_to_ask, place_of_mark
 from facemime.blender.meshes import read_landmarks, read_regions
-from facemime.core.binding.bind import MARKS
 from facemime.core.face.landmarks import from_ibug
+from facemime.core.heads.bind import MARKS
 
 CORNER = int(from_ibug([48])[0])
 

@@ -14,7 +14,7 @@ from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
 from facemime.core.face.landmarks import EYE_CORNERS, outer_eye_distance
 from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.heads.bones import FaceBones
+from facemime.core.heads.part_names import FaceBones
 from facemime.operators.puppet import running
 from tests.helpers.characters import make_character
 from tests.helpers.live_ticks import outcome_of_ticks, ticks_until

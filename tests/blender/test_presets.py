@@ -5,7 +5,7 @@ import json
 import bpy
 import pytest
 
-from facemime.core.puppet.built_in_presets import BUILT_IN, built_in_path
+from facemime.core.puppet.presets import BUILT_IN, built_in_path
 from facemime.settings import user_presets as presets
 
 

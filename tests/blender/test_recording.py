@@ -11,7 +11,7 @@ from mathutils import Vector
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.reference import add_reference
 from facemime.core.errors import OutputError
-from facemime.core.media.capture import VideoSource
+from facemime.core.files.capture import VideoSource
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running

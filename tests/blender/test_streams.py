@@ -14,17 +14,17 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import PART_PROPERTY
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.errors import SourceError
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.streams.protocols.live_link import LiveLinkDecoder
 from facemime.core.streams.sender import StreamSender
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import SendSettings, StreamSettings
-from facemime.core.streams.transport.identity import load_identity
-from facemime.core.streams.transport.pairing import Pairing, parse_pairing
+from facemime.core.streams.transport.addresses import Pairing, parse_pairing
+from facemime.core.streams.transport.security import load_identity
 from facemime.core.streams.transport.tls_server import TlsSender
 from facemime.core.streams.vertices import VertexSender
 from facemime.core.takes.coefficient_table import write_coefficient_csv
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.settings import takes_store

@@ -23,7 +23,7 @@ from facemime.core.heads.appearance import built_in_appearance
 from facemime.core.heads.rig import built_in_head
 from facemime.core.streams.transport.addresses import EVERYWHERE
 from facemime.core.takes.file import save_take
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.viewer.model import viewer_model
 from facemime.core.viewer.page import BUILT, PAGE
 from facemime.operators.puppet import running

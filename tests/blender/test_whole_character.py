@@ -11,7 +11,7 @@ from facemime.blender.characters import read_kinds
 from facemime.blender.meshes import read_landmarks
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.heads.parts import Part
+from facemime.core.heads.rig import Part
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.characters import make_character, shown
 from tests.helpers.takes import performance

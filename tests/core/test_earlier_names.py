@@ -1,4 +1,4 @@
-"""Programs that import modules of core under their names of 0.1.0 get the modules of today."""
+"""Programs that import modules under their names of 0.1.0 get the modules of today."""
 
 import subprocess
 import sys
@@ -6,16 +6,25 @@ from importlib import import_module
 
 import pytest
 
-from facemime.core.earlier_names import _MOVED
+from facemime.core.earlier_names import EarlierNames
+
+FINDERS = [finder for finder in sys.meta_path if isinstance(finder, EarlierNames)]
+MOVED = [f"{finder._root}{name}" for finder in FINDERS for name in finder.moved]
+KEPT = ("core.binding.bind", "core.live.sources", "blender.media.rendering")
+"""Modules whose package alone has another name."""
 
 
-@pytest.mark.parametrize("name", sorted(_MOVED))
+def test_modules_of_both_packages_are_found():
+    assert {finder._root for finder in FINDERS} == {"facemime.core.", "facemime.blender."}
+
+
+@pytest.mark.parametrize("name", sorted([*MOVED, *(f"facemime.{name}" for name in KEPT)]))
 def test_a_module_is_the_same_under_its_earlier_name(name):
-    today = import_module(f"facemime.core.{_MOVED[name]}")
+    today = import_module(next(filter(None, (finder.today(name) for finder in FINDERS))))
     before = today.__spec__
     with pytest.warns(DeprecationWarning, match="is now"):
-        sys.modules.pop(f"facemime.core.{name}", None)
-        assert import_module(f"facemime.core.{name}") is today
+        sys.modules.pop(name, None)
+        assert import_module(name) is today
     assert today.__spec__ is before
 
 

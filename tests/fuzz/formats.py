@@ -19,23 +19,22 @@ import cv2
 import numpy as np
 
 from facemime.cli.clips import checked_record
-from facemime.core.bake import key_map
 from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
-from facemime.core.deform.follow import follow_matrix
+from facemime.core.deform.covariance import follow_matrix
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.files import preset_files as presets
+from facemime.core.files.capture import VideoSource, read_image
 from facemime.core.files.reading import parse_json
 from facemime.core.files.setting import Choice, Setting
+from facemime.core.heads import key_map
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas
 from facemime.core.heads.rig import built_in_head
-from facemime.core.media.capture import VideoSource
-from facemime.core.media.images import read_image
 from facemime.core.mesh.kernels import get_kernel
+from facemime.core.puppet import presets
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC

@@ -14,17 +14,17 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from facemime.core.drive.anonymous import anonymise
 from facemime.core.drive.driver import HeadDriver
+from facemime.core.drive.retarget import anonymise
 from facemime.core.errors import FacemimeError
-from facemime.core.face.coefficient_names import COEFFICIENTS
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.recordings.reading import read_recording
 from facemime.core.takes.coefficient_table import from_coefficient_csv, write_coefficient_csv
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.format import HEADER, MARKER, chunk_bytes, chunks_in
 from facemime.core.takes.mending import bridge_gaps, mirror_take, remove_outliers
 from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.recordings import read_recording
 from facemime.core.takes.smooth import smooth_zero_phase
 from facemime.core.takes.spreadsheet import from_csv, to_csv
 from facemime.core.takes.take import Take, check_take

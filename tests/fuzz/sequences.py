@@ -25,7 +25,7 @@ import bpy
 import numpy as np
 
 import facemime
-from facemime.core.live.sources import PacedSource
+from facemime.core.puppet.sources import PacedSource
 from facemime.operators.attached_parts import attend as attend_parts
 from facemime.sessions.session import Session
 from tests.fuzz.steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 
-from facemime.core.live.sources import PacedSource
+from facemime.core.puppet.sources import PacedSource
 from facemime.core.takes.file import save_take
 from facemime.operators.puppet import running
 from tests.helpers.facegen_files import tri

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.face.names import COEFFICIENT_INDEX
 from facemime.core.streams.protocols.live_link import LiveLinkDecoder
 from tests.gui.conftest import installed
 from tests.helpers.gui.sidebar import Sidebar

@@ -11,7 +11,7 @@ from mathutils import Matrix
 
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import PART_PROPERTY
-from facemime.core.heads.parts import Part
+from facemime.core.heads.rig import Part
 
 TRUTH = {
     "eye_left": {Part.EYE_LEFT},

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from facemime.core.live.sources import Clock
+from facemime.core.puppet.sources import Clock
 
 PATIENCE = 300.0
 """Seconds after which a test gives up; even a busy machine needs much less."""

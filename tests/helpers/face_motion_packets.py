@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-from facemime.core.face.coefficient_names import COEFFICIENTS
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.streams.source import StreamSource
 from tests.helpers.links import collected
 

@@ -11,13 +11,13 @@ from pathlib import Path
 
 from pytest import MonkeyPatch
 
-from facemime.core.live.outputs import Output
-from facemime.core.live.sources import LiveFrame
+from facemime.core.puppet.outputs import Output
+from facemime.core.puppet.sources import LiveFrame
 from facemime.core.streams.sender import StreamSender
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import PROTOCOLS, SendSettings
 from facemime.core.takes.file import TakeWriter, load_take
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.takes.neutral import Neutral
 from facemime.core.takes.take import Take, describe
 from tests.helpers.clocks import PATIENCE

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 
-from facemime.core.live.sources import PacedSource
+from facemime.core.puppet.sources import PacedSource
 from facemime.operators.attached_parts import attend as attend_parts
 from facemime.operators.puppet import running
 from facemime.sessions.session import Session

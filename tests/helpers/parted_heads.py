@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.parts import FaceParts, Part
-from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.heads.rig import FaceParts, HeadRig, Part, built_in_head
 
 KINDS = {
     "eye_left": Part.EYE_LEFT,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from websockets.sync.client import ClientConnection, connect
 
-from facemime.core.viewer.nats import PING, NatsReader, Operation, connecting, subscribing
+from facemime.core.viewer.messages import PING, NatsReader, Operation, connecting, subscribing
 from facemime.core.viewer.site import SUBJECT, VIEWER, Relay, Site
 from tests.helpers.clocks import PATIENCE
 from tests.helpers.links import free_port

@@ -3,7 +3,7 @@
 import numpy as np
 from hypothesis import strategies as st
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, N_COEFFICIENTS
 
 SHARES = st.lists(st.floats(0.0, 1.0, width=32), min_size=N_COEFFICIENTS, max_size=N_COEFFICIENTS)
 ANGLES = st.tuples(*[st.floats(-1.2, 1.2)] * 3)

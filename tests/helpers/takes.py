@@ -2,11 +2,10 @@
 
 import numpy as np
 
-from facemime.core.face.actions import N_ACTIONS
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.face.landmarks import OUTER_EYE_CORNERS, from_ibug
+from facemime.core.face.names import COEFFICIENT_INDEX, N_ACTIONS, N_COEFFICIENTS
 from facemime.core.heads.built_in import load_head
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.takes.take import Take, TakeRecorder
 
 CHIN_AND_LIP = from_ibug([*range(4, 13), *range(55, 60), *range(65, 68)])

@@ -10,14 +10,13 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.landmarks import UPPER_LIDS
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.parts import FaceParts, Part
-from facemime.core.heads.rig import built_in_head
-from facemime.core.live.key_driver import KeyDriver, LiveKeys
+from facemime.core.heads.key_map import KeyMap, KeyRow
+from facemime.core.heads.rig import FaceParts, Part, built_in_head
+from facemime.core.puppet.head_drivers import KeyDriver, LiveKeys
 from tests.helpers.parted_heads import with_parts
 from tests.helpers.viewer.watching import NEUTRAL, built_in, face, loaded, plain, shown_on, until, vertices_of
 

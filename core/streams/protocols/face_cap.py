@@ -6,7 +6,7 @@ from math import pi
 
 import numpy as np
 
-from ...face.coefficient_names import COEFFICIENT_INDEX
+from ...face.names import COEFFICIENT_INDEX
 from ...numeric.arrays import FloatArray
 from . import osc
 from .frames import FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import messages
-from ...face.coefficient_names import column_of
+from ...face.names import column_of
 from ...files.reading import parse_json
 from .frames import FaceValues, PacketError, StreamFrame, no_coefficients
 from .ifacialmocap import phone_face

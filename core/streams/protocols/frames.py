@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from ...face.coefficient_names import N_COEFFICIENTS
+from ...face.names import N_COEFFICIENTS
 from ...face.rotation import from_face_axes
 from ...numeric import linalg
 from ...numeric.arrays import FloatArray

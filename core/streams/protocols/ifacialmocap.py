@@ -13,7 +13,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...face.coefficient_names import column_of
+from ...face.names import column_of
 from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned
 
 PORT = 49983

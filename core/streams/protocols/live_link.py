@@ -13,9 +13,9 @@ from typing import Literal
 
 import numpy as np
 
-from ...face.coefficient_names import COEFFICIENT_INDEX
-from ...heads.looks import LOOKS, eyes_of_gaze, gaze_of
-from ...takes.live_link_angles import EYES, HEAD, eye_angles, eye_directions, head_angles, head_rotation
+from ...face.names import COEFFICIENT_INDEX
+from ...heads.built_in import LOOKS, eyes_of_gaze, gaze_of
+from ...takes.table_angles import EYES, HEAD, eye_angles, eye_directions, head_angles, head_rotation
 from .frames import MAX_SUBJECT, FaceValues, PacketError, StreamFrame, checked, no_coefficients, possible
 
 PORT = 11111

@@ -13,8 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ...face.apertures import eye_apertures, mouth_aperture
-from ...face.landmarks import MOUTH_CORNERS, from_ibug
+from ...face.landmarks import MOUTH_CORNERS, eye_apertures, from_ibug, mouth_aperture
 from ...face.rotation import euler_to_matrix, matrix_to_euler
 from ...numeric import linalg
 from ...numeric.arrays import FloatArray

@@ -12,8 +12,8 @@ from math import asin, pi
 
 import numpy as np
 
-from ...face.coefficient_names import COEFFICIENT_INDEX
-from ...heads.looks import LOOKS, looks_of_eyes
+from ...face.names import COEFFICIENT_INDEX
+from ...heads.built_in import LOOKS, looks_of_eyes
 from ...numeric.arrays import FloatArray
 from . import osc
 from .frames import FaceValues, PacketError, StreamFrame, checked, no_coefficients

@@ -8,18 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ...face.coefficient_names import column_of
+from ...face.names import column_of
 from ...files.reading import parse_json
-from .frames import (
-    MAX_DATAGRAM,
-    FaceValues,
-    PacketError,
-    StreamFrame,
-    checked,
-    finite,
-    no_coefficients,
-    turned,
-)
+from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, finite, no_coefficients, turned
 
 PORT = 21412
 """Port of the phone, which answers on a port named in the request."""

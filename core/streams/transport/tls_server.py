@@ -14,9 +14,9 @@ from functools import partial
 from ...takes.neutral import Neutral
 from ...tracking.result import TrackResult
 from . import datagram
+from .addresses import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
 from .background import Serving, listening
-from .pairing import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
-from .sessions import OwnSender
+from .datagram import OwnSender
 
 _PATIENCE = 5.0
 """Seconds for the handshake, and for the token."""
@@ -33,7 +33,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class TlsSender(Serving):
-    """Sends tracking results to receivers that show the token. See `core.live.outputs.Output`.
+    """Sends tracking results to receivers that show the token. See `core.puppet.outputs.Output`.
 
     Parameters
     ----------

@@ -17,8 +17,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy loads: sums i
 import cv2
 import numpy as np
 
-from facemime.core.bake.coefficient_model import COEFFICIENT_FILE
-from facemime.core.bake.observation import Observer
+from facemime.core.bake.arkit import Observer
+from facemime.core.bake.coefficients import COEFFICIENT_FILE
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.core.tracking.tracker import FaceTracker

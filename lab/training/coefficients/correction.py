@@ -6,9 +6,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from facemime.core.bake.coefficient_model import HIDDEN, N_OBSERVED, CoefficientModel, Layer
-from facemime.core.bake.coefficients import CoefficientSolver
-from facemime.core.face.coefficient_names import COEFFICIENT_MIRROR, FITTED
+from facemime.core.bake.coefficients import HIDDEN, N_OBSERVED, CoefficientModel, CoefficientSolver, Layer
+from facemime.core.face.names import COEFFICIENT_MIRROR, FITTED
 
 from .learn import mirrored
 from .simulate import Observed

@@ -1,15 +1,13 @@
-"""Learning of the model of `core.bake.coefficient_model` from observations, symmetric between left and right."""
+"""Learning of the model of `core.bake.coefficients` from observations, symmetric between left and right."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from facemime.core.bake.coefficient_model import FORMAT, N_OBSERVED, CoefficientModel, Spread
-from facemime.core.bake.coefficients import CoefficientSolver
+from facemime.core.bake.coefficients import FORMAT, N_OBSERVED, CoefficientModel, CoefficientSolver, Spread
 from facemime.core.bake.coefficients import mirrored as mirrored_observations
-from facemime.core.face.actions import ACTIONS
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, FITTED
 from facemime.core.face.landmarks import N_LANDMARKS
+from facemime.core.face.names import ACTIONS, COEFFICIENT_INDEX, COEFFICIENT_MIRROR, FITTED
 
 from ..head.build import to_bytes
 from .script import random_expression

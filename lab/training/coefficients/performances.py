@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
 from facemime.core.face.landmarks import JAW
+from facemime.core.face.names import COEFFICIENT_INDEX
 from facemime.core.takes.take import Take, TakeRecorder, describe
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker

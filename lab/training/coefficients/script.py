@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS
 
 from ..tracker.heads import IctHead
 

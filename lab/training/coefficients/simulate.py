@@ -11,11 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from facemime.core.bake.observation import Observer
+from facemime.core.bake.arkit import Observer
 from facemime.core.drive.drive_settings import DriveSettings
-from facemime.core.face.actions import N_ACTIONS
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.face.landmarks import N_LANDMARKS, outer_eye_distance
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_ACTIONS
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
 from facemime.core.takes.neutral import Neutral, shut_level

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from facemime.core.drive.parts import PartDriver
 from facemime.core.face.landmarks import from_ibug
 from facemime.core.heads.built_in import FORMAT
-from facemime.core.heads.parts import FaceParts
-from facemime.core.heads.parts import Part as Kind
-from facemime.core.heads.rig import HeadRig
+from facemime.core.heads.rig import FaceParts, HeadRig
+from facemime.core.heads.rig import Part as Kind
 
 from . import complexion, identity
 from .anatomy import landmark_vertices

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.face.actions import ACTIONS, N_ACTIONS, action_indices
+from facemime.core.face.names import ACTIONS, N_ACTIONS, action_indices
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .dress import dress

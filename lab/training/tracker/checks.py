@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from facemime.core.face.landmarks import INNER
-from facemime.core.tracking.check import FaceCheck
 from facemime.core.tracking.fitter import DETECTED, FINE
+from facemime.core.tracking.network import FaceCheck
 from facemime.core.tracking.pdm import FittedShape
 from facemime.core.tracking.tracker import FaceTracker
 

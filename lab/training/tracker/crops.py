@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.face.actions import ACTION_MIRROR
 from facemime.core.face.landmarks import MIRROR
+from facemime.core.face.names import ACTION_MIRROR
 from facemime.core.tracking.experts import FACE_STRIDE, PART_STRIDE, crop_face, crop_part, first_cell
 
 from .acting import ActionSamples

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from facemime.core.tracking.network_detector import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT
+from facemime.core.tracking.network import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .checks import surface

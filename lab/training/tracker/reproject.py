@@ -13,7 +13,7 @@ import numpy as np
 
 from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT
 from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.mesh.raster import rasterise
+from facemime.core.mesh.triangles import rasterise
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .heads import EYEBALLS, FACE, IctHead

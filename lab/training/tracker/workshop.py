@@ -9,15 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.face.actions import ACTIONS, action_indices
 from facemime.core.face.landmarks import MIRROR
-from facemime.core.tracking.action_experts import ActionExperts
-from facemime.core.tracking.check import N_FEATURES, FaceCheck
+from facemime.core.face.names import ACTIONS, action_indices
 from facemime.core.tracking.experts import FaceExperts, PartExperts
 from facemime.core.tracking.model_file import TrackerModel
-from facemime.core.tracking.network import Network
-from facemime.core.tracking.network_detector import OUTPUTS, NetworkDetector
-from facemime.core.tracking.patch_experts import PatchExperts
+from facemime.core.tracking.network import N_FEATURES, OUTPUTS, FaceCheck, Network, NetworkDetector
+from facemime.core.tracking.patch_experts import ActionExperts, PatchExperts
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.tracker import FaceTracker
 

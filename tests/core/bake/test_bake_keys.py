@@ -8,11 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
-from facemime.core.bake.arkit import COEFFICIENTS, arkit_coefficients, coefficients_of
-from facemime.core.bake.clean import needed_keys
-from facemime.core.bake.coefficient_model import N_OBSERVED
+from facemime.core.bake.arkit import arkit_coefficients, coefficients_of
+from facemime.core.bake.coefficients import N_OBSERVED
 from facemime.core.bake.fit import fit_keys, mix_errors
-from facemime.core.bake.key_map import (
+from facemime.core.bake.point_cache import in_between, write_point_cache
+from facemime.core.bake.reduction import needed_keys
+from facemime.core.drive.drive_settings import DriveSettings
+from facemime.core.errors import OutputError, SourceError
+from facemime.core.face.names import COEFFICIENTS, N_ACTIONS, normalised
+from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.key_map import (
     KeyMap,
     KeyRow,
     best_preset,
@@ -24,14 +30,7 @@ from facemime.core.bake.key_map import (
     load_map,
     presets,
 )
-from facemime.core.bake.key_names import normalised
-from facemime.core.bake.least_squares import bounded_least_squares
-from facemime.core.bake.point_cache import in_between, write_point_cache
-from facemime.core.drive.drive_settings import DriveSettings
-from facemime.core.errors import OutputError, SourceError
-from facemime.core.face.actions import N_ACTIONS
-from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.heads.built_in import load_head
+from facemime.core.numeric.least_squares import bounded_least_squares
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.takes import performance
 

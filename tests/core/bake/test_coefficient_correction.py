@@ -9,10 +9,9 @@ import pytest
 
 pytest.importorskip("torch", reason="PyTorch is not installed; `make coefficients` does it")
 
-from facemime.core.bake.coefficient_model import N_OBSERVED, load_coefficient_model
-from facemime.core.bake.coefficients import CoefficientSolver
-from facemime.core.face.coefficient_names import FITTED
+from facemime.core.bake.coefficients import N_OBSERVED, CoefficientSolver, load_coefficient_model
 from facemime.core.face.landmarks import N_LANDMARKS
+from facemime.core.face.names import FITTED
 from lab.training.coefficients.correction import learn_correction
 from lab.training.coefficients.script import random_expression
 from lab.training.coefficients.simulate import Observed

@@ -10,15 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from facemime.core.bake.arkit import arkit_coefficients, coefficients_of
-from facemime.core.bake.coefficient_model import N_OBSERVED, CoefficientModel, load_coefficient_model
-from facemime.core.bake.coefficients import CoefficientSolver
-from facemime.core.bake.observation import Observer
+from facemime.core.bake.arkit import Observer, arkit_coefficients, coefficients_of
+from facemime.core.bake.coefficients import N_OBSERVED, CoefficientModel, CoefficientSolver, load_coefficient_model
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import ModelError, SourceError
-from facemime.core.face.actions import ACTION_MIRROR, N_ACTIONS
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, COEFFICIENTS, EXCLUSIVE, FITTED
 from facemime.core.face.landmarks import LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS, outer_eye_distance
+from facemime.core.face.names import (
+    ACTION_MIRROR,
+    COEFFICIENT_INDEX,
+    COEFFICIENT_MIRROR,
+    COEFFICIENTS,
+    EXCLUSIVE,
+    FITTED,
+    N_ACTIONS,
+)
 from facemime.core.heads.built_in import load_head
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.result import TrackResult

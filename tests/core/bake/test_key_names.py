@@ -7,8 +7,8 @@ import re
 import numpy as np
 import pytest
 
-from facemime.core.bake.key_map import COEFFICIENTS, KeyMap, KeyRow, best_preset, known_expressions, presets
-from facemime.core.bake.key_names import names_of, normalised
+from facemime.core.face.names import names_of, normalised
+from facemime.core.heads.key_map import COEFFICIENTS, KeyMap, KeyRow, best_preset, known_expressions, presets
 
 
 def words(name):

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.bake.refine import refined_keys
+from facemime.core.bake.expression_keys import expression_keys, refined_keys
+from facemime.core.bake.key_quality import findings, key_qualities
+from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError
-from facemime.core.face.coefficient_names import COEFFICIENTS
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.keys.expression_keys import expression_keys
-from facemime.core.keys.key_quality import findings, key_qualities
-from facemime.core.keys.key_sets import KEY_SETS
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.takes import performance
 

@@ -23,9 +23,9 @@ from facemime.cli.report import Entry, write_report
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.errors import FacemimeError, OutputError, SourceError
+from facemime.core.files.capture import write_image
 from facemime.core.files.setting import settings_of
 from facemime.core.files.writing import locked
-from facemime.core.media.images import write_image
 from facemime.core.puppet.job import HeadFile, PuppetJob
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.takes import performance

@@ -19,7 +19,7 @@ from facemime.cli import main as cli
 from facemime.cli.clips import Namer, find_clips
 from facemime.cli.console import Progress, printable, say, tell
 from facemime.core.errors import SourceError
-from facemime.core.media.images import write_image
+from facemime.core.files.capture import write_image
 from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import load_take
 from tests.helpers.commands import SAMPLE, START, needs_posix, run

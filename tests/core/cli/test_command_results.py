@@ -14,7 +14,7 @@ import pytest
 
 from facemime.cli import job_files, landmarks
 from facemime.cli import main as cli
-from facemime.core.media.images import write_image
+from facemime.core.files.capture import write_image
 from facemime.core.takes.file import load_take, save_take
 from tests.helpers.commands import SAMPLE, START, broken_off, needs_posix, run
 from tests.helpers.takes import performance

@@ -15,7 +15,7 @@ import pytest
 import facemime
 from facemime.cli.main import main
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.face.names import COEFFICIENT_INDEX
 from facemime.core.streams.protocols.live_link import LiveLinkDecoder
 from facemime.core.streams.sender import SENT, StreamSender
 from facemime.core.streams.stream_settings import PROTOCOLS, SendSettings

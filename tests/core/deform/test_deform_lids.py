@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from facemime.core.binding.bind import bind_landmarks
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import LOWER_LIDS, MIRROR, UPPER_LIDS
-from facemime.core.heads.eye_outline import EYES, eye_outline
-from facemime.core.heads.eyeballs import LID_THICKNESS, EyeballContact, fit_eyeball
+from facemime.core.heads.bind import bind_landmarks
+from facemime.core.heads.eyeballs import EYES, LID_THICKNESS, EyeballContact, eye_outline, fit_eyeball
 from facemime.core.heads.lids import coarse_edges, cut_eye, eyes_joined
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.rig import HeadRig

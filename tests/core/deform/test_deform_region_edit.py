@@ -5,7 +5,7 @@ import pytest
 
 from facemime.core.face.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.region_edit import mirror_regions, smooth_regions
+from facemime.core.heads.regions import mirror_regions, smooth_regions
 
 HEAD = load_head()
 BROW_RIGHT, BROW_LEFT = from_ibug((19, 24))

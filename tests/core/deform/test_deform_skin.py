@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facemime.core.deform.covariance import skin_covariance
 from facemime.core.deform.head_deformer import head_deformer
-from facemime.core.deform.skin import skin_covariance
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
 from facemime.core.heads.rig import built_in_head

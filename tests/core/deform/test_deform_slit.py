@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.binding.bind import bind_landmarks
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import MOUTH_CORNERS, from_ibug
-from facemime.core.heads.lips import lip_line, rim_landmarks
+from facemime.core.heads.bind import bind_landmarks
 from facemime.core.heads.proposal import propose_regions
+from facemime.core.heads.slits import lip_line, rim_landmarks
 from facemime.core.mesh.surface import SurfaceGraph, lips_joined
 from tests.helpers.scans import HEAD, UNIT, VERTICES, scanned
 

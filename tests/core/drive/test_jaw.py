@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from facemime.core.drive.jaw import Jaw
+from facemime.core.drive.posing import Jaw
 from facemime.core.face.landmarks import CHIN, LOWER_LIPS, outer_eye_distance
 from facemime.core.face.rotation import fit_rotation
 from facemime.core.heads.built_in import load_head

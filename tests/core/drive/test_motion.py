@@ -4,9 +4,9 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.basis import fit_basis
+from facemime.core.bake.reduction import fit_basis
 from facemime.core.drive.motion import HeadMotion, select_distinct_frames
-from facemime.core.face.actions import N_ACTIONS
+from facemime.core.face.names import N_ACTIONS
 
 
 @settings(max_examples=30)

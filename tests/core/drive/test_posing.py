@@ -15,7 +15,7 @@ from facemime.core.errors import SourceError
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import Neutral, calibrate
-from facemime.core.tracking.mirror import mirror_result
+from facemime.core.tracking.result import mirror_result
 from tests.helpers.takes import performance
 
 angles = st.tuples(*[st.floats(-1.2, 1.2)] * 3)

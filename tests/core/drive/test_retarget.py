@@ -6,11 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.eyes import _LASTING, _LIMIT, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
+from facemime.core.drive.posing import _LASTING, _LIMIT, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
 from facemime.core.drive.retarget import _WIDENING_GAIN, Retargeter
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.face.apertures import lid_gaps
-from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
+from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug, lid_gaps
 from facemime.core.face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import EyeballContact

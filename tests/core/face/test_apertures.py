@@ -5,8 +5,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.face.apertures import eye_apertures, mouth_aperture
-from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, MIRROR, UPPER_LIDS, UPPER_LIPS
+from facemime.core.face.landmarks import (
+    LOWER_LIDS,
+    LOWER_LIPS,
+    MIRROR,
+    UPPER_LIDS,
+    UPPER_LIPS,
+    eye_apertures,
+    mouth_aperture,
+)
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 

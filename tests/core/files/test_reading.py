@@ -9,15 +9,15 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from facemime.core.bake import key_map
 from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.files import preset_files as presets
-from facemime.core.files.preset_files import file_name
 from facemime.core.files.reading import MAX_TEXT, parse_json, read_bytes, read_text
 from facemime.core.files.setting import Choice, Setting
+from facemime.core.heads import key_map
 from facemime.core.heads.regions import membership
+from facemime.core.puppet import presets
+from facemime.core.puppet.presets import file_name
 from facemime.core.takes.neutral import Neutral, calibrate
 from tests.helpers.takes import performance
 

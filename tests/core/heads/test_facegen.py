@@ -10,10 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.errors import SourceError
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.facegen import read_egm, read_obj, read_tri
-from facemime.core.keys.key_sets import KEY_SETS
 from tests.helpers.facegen_files import DIFFERENCE, OBJ, QUADS, TARGETS, TRIANGLES, UVS, VERTICES, egm, tri
 
 HEAD = np.array([1, -1, -1], np.float32)

@@ -7,21 +7,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.deform.glue import Glue
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.lid_rims import lid_rims
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.parts import PartDriver
+from facemime.core.drive.parts import Glue, PartDriver
 from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.heads.bones import FaceBones, find_bones
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
-from facemime.core.heads.part_names import named_part, names_body, names_skin
-from facemime.core.heads.parts import FaceParts, Part, skin_of
-from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_skin
+from facemime.core.heads.rig import FaceParts, HeadRig, Part, built_in_head, skin_of
 from facemime.core.heads.sorting import Piece, lower_row, sort_pieces
-from facemime.core.mesh.pieces import border_twins, islands
+from facemime.core.mesh.surface import border_twins, islands
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.parted_heads import KINDS, with_parts
 from tests.helpers.takes import performance

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.coefficient_model import COEFFICIENT_FILE, HIDDEN, N_OBSERVED, load_coefficient_model
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
+from facemime.core.bake.coefficients import COEFFICIENT_FILE, HIDDEN, N_OBSERVED, load_coefficient_model
 from facemime.core.face.landmarks import N_LANDMARKS, from_ibug
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.tracking.tracker import FaceTracker
 from lab.training.coefficients.learn import learn, mirrored, model_bytes, spread
 from lab.training.coefficients.script import random_expression

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from facemime.core.face.actions import ACTIONS
 from facemime.core.face.landmarks import LIPS, LOWER_LIPS, UPPER_LIPS
+from facemime.core.face.names import ACTIONS
 from facemime.core.face.rotation import euler_to_matrix
-from facemime.core.mesh.raster import rasterise
+from facemime.core.mesh.triangles import rasterise
 from facemime.core.tracking.tracker import FaceTracker
 from lab.training.tracker.acting import ActionSamples
 from lab.training.tracker.crops import ActionPart, draw_actions

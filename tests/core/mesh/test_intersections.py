@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from facemime.core.mesh.intersections import crossing_pairs
+from facemime.core.mesh.triangles import crossing_pairs
 
 
 def crosses(one: np.ndarray, other: np.ndarray) -> bool:

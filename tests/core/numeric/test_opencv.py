@@ -7,7 +7,7 @@ import pytest
 
 from facemime.core.errors import ModelError
 from facemime.core.numeric import opencv
-from facemime.core.numeric.onnx import Node, encode_network
+from facemime.core.numeric.opencv import Node, encode_network
 
 
 def _encoded() -> bytes:

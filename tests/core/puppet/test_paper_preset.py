@@ -18,9 +18,8 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
-from facemime.core.heads.parts import FaceParts, Part
 from facemime.core.heads.regions import LOWER, MIDDLE, membership, sharp_regions
-from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.heads.rig import FaceParts, HeadRig, Part, built_in_head
 from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate

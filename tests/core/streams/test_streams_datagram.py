@@ -8,7 +8,7 @@ from hypothesis import given
 
 from facemime.core.streams.protocols.frames import PacketError
 from facemime.core.streams.transport import datagram
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from tests.helpers.stream_values import ANGLES, SHARES, distinct
 from tests.helpers.takes import performance
 

@@ -17,7 +17,7 @@ from facemime.core.streams.sender import SendSettings, StreamSender
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import PROTOCOLS, StreamSettings
 from facemime.core.streams.transport.security import write_key
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from lab.bench.packets import packets
 from tests.helpers.clocks import PATIENCE
 from tests.helpers.links import all_the_time, collected, free_port, performing

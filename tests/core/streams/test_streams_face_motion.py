@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.face.rotation import from_face_axes
 from facemime.core.streams.protocols import ifacialmocap
 from facemime.core.streams.protocols.face_motion import REFUSALS, FaceMotionReceiver

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
-from facemime.core.live.sources import LiveFrame
+from facemime.core.face.names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.puppet.sources import LiveFrame
 from facemime.core.streams.protocols import ifacialmocap, osc
 from facemime.core.streams.protocols.face_cap import NAMES
 from facemime.core.streams.stream_settings import PROTOCOLS, StreamProtocol

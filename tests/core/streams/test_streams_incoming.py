@@ -8,8 +8,8 @@ from contextlib import closing
 
 import numpy as np
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS
-from facemime.core.streams.incoming import incoming, table
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS
+from facemime.core.streams.diagnosis import incoming, table
 from facemime.core.streams.protocols.frames import FaceValues
 from facemime.core.streams.protocols.openseeface import OpenSeeFaceDecoder
 from facemime.core.streams.source import StreamSource

@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.face.coefficient_names import COEFFICIENTS
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.face.rotation import euler_to_matrix, from_face_axes
-from facemime.core.heads.looks import LOOKS, eyes_of_gaze, gaze_of
+from facemime.core.heads.built_in import LOOKS, eyes_of_gaze, gaze_of
 from facemime.core.streams.protocols import ifacialmocap, live_link, osc, vtube_studio
 from facemime.core.streams.protocols.face_cap import NAMES, FaceCapDecoder
 from facemime.core.streams.protocols.frames import MAX_DATAGRAM, FaceValues, PacketError
 from facemime.core.streams.protocols.ifacialmocap import IFacialMocapDecoder
 from facemime.core.streams.protocols.live_link import CURVES, LiveLinkDecoder
 from facemime.core.streams.protocols.vtube_studio import VTubeStudioDecoder
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from tests.helpers.stream_values import ANGLES, SHARES, distinct, value_of
 
 RECORDING = Path(__file__).parents[3].parent / "shared" / "data" / "streams" / "livelink_iphone.udp"

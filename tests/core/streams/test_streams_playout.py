@@ -5,9 +5,9 @@ import pytest
 
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.streams.playout import ClockFollower, Playout, Shown
-from facemime.core.takes.between import at_rest, between
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.timing import at_rest, between
 from lab.bench.link import Link
 from tests.helpers.takes import performance
 

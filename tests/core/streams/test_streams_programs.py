@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pythonosc.osc_packet import OscPacket
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.face.landmarks import IBUG68_INDICES, MOUTH_CORNERS
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.streams.protocols import openseeface, osc, vmc
 from facemime.core.streams.protocols.frames import FaceValues, PacketError, to_quaternion
@@ -19,8 +19,7 @@ from facemime.core.streams.protocols.openseeface import OpenSeeFaceDecoder, fit_
 from facemime.core.streams.protocols.vmc import VmcDecoder
 from facemime.core.streams.sender import StreamSender
 from facemime.core.streams.stream_settings import SendSettings
-from facemime.core.takes.from_animation import IMAGE_SIZE
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import IMAGE_SIZE, coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.timing import project
 from tests.helpers.stream_values import ANGLES, SHARES, value_of

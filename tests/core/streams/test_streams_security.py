@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.streams.protocols.frames import PacketError
-from facemime.core.streams.transport.datagram import encode_face
+from facemime.core.streams.transport.datagram import OwnReceiver, OwnSender, RefusedError, encode_face
 from facemime.core.streams.transport.security import ReplayWindow, read_key, write_key
-from facemime.core.streams.transport.sessions import OwnReceiver, OwnSender, RefusedError
 from tests.helpers.takes import performance
 
 KEY, OTHER = b"k" * 32, b"o" * 32

@@ -15,17 +15,17 @@ import pytest
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import SourceError
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, N_COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, N_COEFFICIENTS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.live.head_drivers import LiveHead
-from facemime.core.live.sources import LiveFrame
-from facemime.core.live.worker import LiveOptions, LiveWorker
+from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.sources import LiveFrame
+from facemime.core.puppet.worker import LiveOptions, LiveWorker
+from facemime.core.streams.playout import EASE, HOLD
 from facemime.core.streams.sender import SENT, StreamSender, moved_from, turned_from
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import SendSettings, StreamSettings
-from facemime.core.streams.timeline import EASE, HOLD
 from facemime.core.streams.transport.security import write_key
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.clocks import PATIENCE
 from tests.helpers.links import collected, free_port, recorded, sender_to, streamed

@@ -22,8 +22,8 @@ from hypothesis import strategies as st
 from facemime.core.errors import SourceError
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import StreamSettings
-from facemime.core.streams.transport.identity import der_time, load_identity, renew_identity
-from facemime.core.streams.transport.pairing import ANSWER, GREETING, LENGTH, MAGIC, VERSION, Pairing, parse_pairing
+from facemime.core.streams.transport.addresses import ANSWER, GREETING, LENGTH, MAGIC, VERSION, Pairing, parse_pairing
+from facemime.core.streams.transport.security import der_time, load_identity, renew_identity
 from facemime.core.streams.transport.tls_server import TlsSender
 from tests.helpers.clocks import PATIENCE, wait_for
 from tests.helpers.links import performing

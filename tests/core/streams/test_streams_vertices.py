@@ -17,7 +17,7 @@ import pytest
 
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.heads.rig import built_in_head
-from facemime.core.live.sources import LiveFrame
+from facemime.core.puppet.sources import LiveFrame
 from facemime.core.streams.source import StreamSource
 from facemime.core.streams.stream_settings import StreamSettings
 from facemime.core.streams.vertices import VertexSender, encode_frame, encode_mesh

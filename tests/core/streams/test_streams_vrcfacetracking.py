@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX
+from facemime.core.face.names import COEFFICIENT_INDEX
 from facemime.core.streams.protocols import osc
 from facemime.core.streams.protocols.frames import PacketError
 from facemime.core.streams.protocols.vrcfacetracking import VrcFaceTrackingDecoder

@@ -8,11 +8,11 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from facemime.core.face.rotation import from_face_axes
 from facemime.core.streams.protocols.frames import FaceValues
 from facemime.core.streams.vtube_studio_api import VTubeStudioSender, injection, parameters, request
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.tracking.result import TrackResult
 from tests.helpers.clocks import wait_for
 from tests.helpers.vtube_studio import TOKEN, Studio, running

@@ -9,7 +9,7 @@ import pytest
 from facemime.cli.main import main
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.errors import SourceError
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
 from facemime.core.streams.protocols.live_link import CURVES
 from facemime.core.takes.coefficient_table import (
     LIVE_LINK_ORDER,

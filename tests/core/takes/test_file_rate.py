@@ -7,8 +7,7 @@ import struct
 import numpy as np
 import pytest
 
-from facemime.core.heads.vrm import MorphBind, expressions_of
-from facemime.core.takes.file_rate import gltf_of, rate_of_file, rate_of_times
+from facemime.core.heads.character_files import MorphBind, expressions_of, gltf_of, rate_of_file, rate_of_times
 
 
 def gltf(times, *, embedded=False):

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import SourceError
-from facemime.core.face.apertures import eye_apertures, mouth_aperture
-from facemime.core.face.landmarks import BROWS, MIRROR, MOUTH_CORNERS, from_ibug
+from facemime.core.face.landmarks import BROWS, MIRROR, MOUTH_CORNERS, eye_apertures, from_ibug, mouth_aperture
 from facemime.core.takes.face_space import FaceSpace, load_face_space, without_similarity
 from facemime.core.takes.neutral import Neutral, calibrate
 from tests.helpers.takes import make_take

@@ -22,8 +22,8 @@ import facemime
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.face.actions import N_ACTIONS
 from facemime.core.face.landmarks import OUTER_EYE_CORNERS
+from facemime.core.face.names import N_ACTIONS
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes import format as layout
 from facemime.core.takes.file import TakeWriter, load_take, save_take, take_of

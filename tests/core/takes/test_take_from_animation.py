@@ -9,19 +9,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.bake.key_map import KeyMap, KeyRow
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.errors import HeadError
-from facemime.core.face.coefficient_names import COEFFICIENTS, EXCLUSIVE, FITTED
+from facemime.core.face.names import COEFFICIENTS, EXCLUSIVE, FITTED
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
+from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.heads.rig import built_in_head, neck_of
-from facemime.core.live.key_driver import KeyDriver, LiveKeys
+from facemime.core.puppet.head_drivers import KeyDriver, LiveKeys
 from facemime.core.puppet.performance import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
-from facemime.core.takes.from_animation import FacePoints, PointTracker, describe_animation, fit_rigid
+from facemime.core.takes.measured import FacePoints, PointTracker, describe_animation, fit_rigid
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take, TakeRecorder
 

@@ -10,12 +10,11 @@ import pytest
 from scipy import signal
 
 import facemime
-from facemime.core.drive.anonymous import anonymise
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
+from facemime.core.drive.retarget import anonymise
 from facemime.core.errors import FacemimeError, SourceError
-from facemime.core.face.apertures import mouth_aperture
-from facemime.core.face.landmarks import OUTER_EYE_CORNERS
+from facemime.core.face.landmarks import OUTER_EYE_CORNERS, mouth_aperture
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.from_video import track_video
 from facemime.core.takes.mending import bridge_gaps, find_outliers, mirror_take, remove_outliers, renew_neutral

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.takes.timecodes import timecode
+from facemime.core.takes.table_times import timecode
 
 
 @pytest.mark.parametrize(

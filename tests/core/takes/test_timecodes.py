@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.takes.timecodes import seconds_of_timecodes
+from facemime.core.takes.table_times import seconds_of_timecodes
 
 RATES = (12, 15, 20, 24, 25, 30, 48, 50, 60, 100, 120)
 

@@ -1,6 +1,6 @@
 """The stage reported as the slowest is the one that limits the rate."""
 
-from facemime.core.live.timing import REDRAW, STAGES, Delays, Stopwatch
+from facemime.core.puppet.timing import REDRAW, STAGES, Delays, Stopwatch
 
 
 def watched(redraw: float, **stages: float) -> Stopwatch:

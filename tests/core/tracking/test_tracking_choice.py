@@ -11,10 +11,10 @@ import pytest
 from facemime.cli import main as cli
 from facemime.cli.options import face_of
 from facemime.core.errors import FacemimeError
-from facemime.core.live.sources import LiveFrame, LiveSource
-from facemime.core.live.worker import LiveOptions, LiveWorker
+from facemime.core.puppet.sources import LiveFrame, LiveSource
+from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.takes.file import load_take
-from facemime.core.tracking.choice import LEFTMOST, RIGHTMOST
+from facemime.core.tracking.identity import LEFTMOST, RIGHTMOST
 from facemime.core.tracking.tracker import FaceTracker
 
 SAMPLE = Path(__file__).parents[3] / "assets" / "sample" / "sample.mp4"

@@ -10,17 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.media.images import read_image
+from facemime.core.files.capture import read_image
 from facemime.core.tracking.fitter import COARSE
-from facemime.core.tracking.network_detector import (
-    LARGEST,
-    OUTPUTS,
-    SMALLEST,
-    STRIDE,
-    UNIT,
-    Detection,
-    NetworkDetector,
-)
+from facemime.core.tracking.network import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT, Detection, NetworkDetector
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.core.tracking.tracking_settings import CASCADES, TrackingSettings
 from lab.training.tracker.detection import SCENE, Heads, SceneBatch, Scenes, mark

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import ModelError
-from facemime.core.face.actions import ACTION_MIRROR, N_ACTIONS
 from facemime.core.face.landmarks import MIRROR
-from facemime.core.media.images import read_image
+from facemime.core.face.names import ACTION_MIRROR, N_ACTIONS
+from facemime.core.files.capture import read_image
 from facemime.core.tracking.experts import ResponseMaps, standardise
 from facemime.core.tracking.model_file import TrackerModel, load_model
 from facemime.core.tracking.network import Network

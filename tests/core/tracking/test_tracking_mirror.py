@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 
 import facemime
 from facemime.core.face.landmarks import MIRROR, N_LANDMARKS, OUTER_EYE_CORNERS
-from facemime.core.tracking.mirror import mirror_result
 from facemime.core.tracking.pdm import PointDistributionModel
-from facemime.core.tracking.result import TrackResult
+from facemime.core.tracking.result import TrackResult, mirror_result
 
 CLIP = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 FIELDS = ("landmarks", "pose", "shape_params", "shape", "landmark_confidence", "pupils", "gaze")

@@ -10,8 +10,7 @@ import pytest
 torch = pytest.importorskip("torch", reason="PyTorch is not installed; `make model` does it")
 pytest.importorskip("onnx", reason="ONNX is not installed; `make model` does it")
 
-from facemime.core.tracking.network import Network  # noqa: E402
-from facemime.core.tracking.network_detector import OUTPUTS, NetworkDetector  # noqa: E402
+from facemime.core.tracking.network import OUTPUTS, Network, NetworkDetector  # noqa: E402
 from lab.training.tracker.crops import ActionBatch, Batch  # noqa: E402
 from lab.training.tracker.detection import Heads, Scenes  # noqa: E402
 from lab.training.tracker.learn import Course, train_actions, train_detector, train_maps  # noqa: E402

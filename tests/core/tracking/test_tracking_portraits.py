@@ -9,12 +9,12 @@ import cv2
 import numpy as np
 import pytest
 
-from facemime.core.face.actions import N_ACTIONS
 from facemime.core.face.landmarks import LIPS, MIRROR, from_ibug, outer_eye_distance
-from facemime.core.media.images import read_image
+from facemime.core.face.names import N_ACTIONS
+from facemime.core.files.capture import read_image
 from facemime.core.tracking.cascade_detector import CascadeDetector
-from facemime.core.tracking.hidden_mouth import is_hidden
-from facemime.core.tracking.network_detector import NetworkDetector
+from facemime.core.tracking.network import NetworkDetector
+from facemime.core.tracking.result import is_hidden
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.core.tracking.tracking_settings import CASCADES, NETWORK, TrackingSettings
 

@@ -11,8 +11,8 @@ import pytest
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.motion import drive_take
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.face.landmarks import INNER
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import calibrate

@@ -19,10 +19,17 @@ from websockets.sync.client import connect
 
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.streams.transport.identity import load_identity
-from facemime.core.viewer.messages import encode_frame
+from facemime.core.streams.transport.security import load_identity
+from facemime.core.viewer.messages import (
+    MAX_PAYLOAD,
+    NatsError,
+    NatsReader,
+    connecting,
+    encode_frame,
+    publishing,
+    subscribing,
+)
 from facemime.core.viewer.model import viewer_model
-from facemime.core.viewer.nats import MAX_PAYLOAD, NatsError, NatsReader, connecting, publishing, subscribing
 from facemime.core.viewer.page import PAGE
 from facemime.core.viewer.relay import RelaySender
 from facemime.core.viewer.site import SENDER, SUBJECT, VIEWER, Relay, Site

@@ -25,9 +25,8 @@ from facemime.core.errors import ModelError, OutputError, SourceError
 from facemime.core.viewer import page
 from facemime.core.viewer.gate import MAX_STRANGERS
 from facemime.core.viewer.messages import CLOCK, FRAME
-from facemime.core.viewer.qr import as_text, qr_code
 from facemime.core.viewer.server import ViewerServer
-from facemime.core.viewer.viewer_settings import MAX_VIEWERS, ViewerSettings, kept_token, new_token
+from facemime.core.viewer.viewer_settings import MAX_VIEWERS, ViewerSettings, as_text, kept_token, new_token, qr_code
 from tests.helpers.clocks import PATIENCE, wait_for
 from tests.helpers.viewer.watching import Watched, face, plain
 

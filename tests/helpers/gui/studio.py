@@ -19,7 +19,7 @@ _COLOURS = 256
 _TRIES = 6
 _HELD = f"""
 import math
-from {MODULE}.core.live import sources
+from {MODULE}.core.puppet import sources
 class Held(sources.Clock):
     time, limit = 0.0, math.inf
     def now(self):

@@ -35,7 +35,7 @@ def workers():
     return [thread.name for thread in threading.enumerate() if thread.name.startswith("facemime")]
 """
 EVERY_FRAME = f"""
-from {MODULE}.core.live import sources
+from {MODULE}.core.puppet import sources
 class Patient(sources.Clock):
     time = 0.0
     def now(self):

@@ -10,12 +10,11 @@ import numpy as np
 from playwright.sync_api import Page
 
 from facemime.core.drive.driver import HeadDriver, HeadFrame
-from facemime.core.face.actions import N_ACTIONS
-from facemime.core.face.coefficient_names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from facemime.core.face.names import COEFFICIENT_INDEX, N_ACTIONS, N_COEFFICIENTS
 from facemime.core.heads.appearance import Appearance, Material, Patch, built_in_appearance
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.live.key_driver import KeyDriver
-from facemime.core.takes.from_coefficients import coefficient_face
+from facemime.core.puppet.head_drivers import KeyDriver
+from facemime.core.takes.measured import coefficient_face
 from facemime.core.tracking.result import TrackResult
 from facemime.core.viewer.server import ViewerServer
 from facemime.core.viewer.viewer_settings import ViewerSettings

@@ -1,0 +1,319 @@
+"""Sets of shape keys for any head, made from the face units of the built-in head, and refined by takes, so that
+coefficients move a head as its performer does (method.md, section 9.6).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..deform.expressions import transferred
+from ..deform.head_deformer import head_deformer
+from ..deform.rbf import RBFDeformer
+from ..drive.driver import HeadDriver
+from ..drive.parts import PartDriver
+from ..drive.posing import Jaw
+from ..face.landmarks import LIPS, LOWER_LIDS, LOWER_LIPS, MOUTH_CORNERS, UPPER_LIDS, UPPER_LIPS, lip_gaps
+from ..face.names import COEFFICIENTS
+from ..face.rotation import fit_rotation
+from ..heads.built_in import Head, load_head
+from ..heads.eyeballs import EyeballContact
+from ..heads.rig import HeadRig
+from ..heads.slits import SlitContact
+from ..mesh.surface import NearestPoints
+from ..numeric import linalg
+from ..numeric.arrays import FloatArray
+from ..takes.neutral import calibrate
+from ..takes.take import Take
+from .arkit import arkit_coefficients
+from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
+
+_STEPS = 2
+"""Number of corrections of the landmarks, which the deformer meets only approximately."""
+_REACH = 0.35
+"""Distance from the landmarks, in outer-eye distances, within which the carried motion counts."""
+_OPEN = 1e-3
+"""Opening of a lid, in outer-eye distances, below which it counts as shut at rest."""
+_SEALED = 0.005
+"""Gap between sealed lips in outer-eye distances, unless they are closer at rest."""
+_FRAMES = 150
+"""Largest number of frames of a take that count."""
+_LOYALTY = 0.03
+"""Weight of the keys as they were, per frame. On clips of strangers, the error of refined keys on another clip is about
+the same from 0.01 to 0.1; that on the same clip grows from 0.03 to 0.3."""
+_EXACT = ("eyeBlink", "eyeLook", "mouthClose")
+"""Beginnings of the names of keys that have to meet something, and so stay as they were."""
+
+
+Refine = Callable[[HeadRig, NDArray[np.float32]], NDArray[np.float32]]
+"""Changes the displacements of the skin's vertices by keys, (K, V, 3), before lids and lips are made to meet."""
+
+
+def _as_they_are(skin: HeadRig, motions: NDArray[np.float32]) -> NDArray[np.float32]:
+    return motions
+
+
+def expression_keys(
+    rig: HeadRig,
+    keys: KeySet = KEY_SETS["arkit"],
+    progress: Callable[[float], None] = lambda share: None,
+    refine: Refine = _as_they_are,
+) -> tuple[tuple[str, ...], NDArray[np.float32]]:
+    """Make a set of shape keys for a head.
+
+    Parameters
+    ----------
+    rig : HeadRig
+        The head, with its eyes, teeth and other parts.
+    keys : KeySet
+        The set; by default ARKit's 52 face units.
+    progress : callable, optional
+        Is called with the share of the keys that are made, 0 to 1.
+    refine : callable, optional
+        Changes the keys of the skin.
+
+    Returns
+    -------
+    names : (K,) tuple of str
+        Names of the keys.
+    motions : (K, A, 3) float32
+        Displacements of all vertices at value 1, as in `HeadRig.all_vertices`: head frame, unit of the mesh.
+
+    Notes
+    -----
+    The motion of the built-in head is carried over by a warp of the landmarks. It is corrected by the deformer where
+    landmarks have to meet: a lid closes by the same share of its opening as the built-in head's, and stays outside the
+    eyeball; sealed lips meet; and neither lips nor lids pass through each other. Lower teeth rotate with the chin about
+    the hinge of the jaw, and eyes rotate as the built-in head's do.
+    """
+    alone, skin = rig.skin()
+    source = _Source.of(keys)
+    skin_motions = _Maker(alone, source).motions(keys, progress, refine)
+    if skin is None:
+        return keys.names, skin_motions
+    points = np.asarray(alone.vertices, dtype=np.float64)[alone.landmarks]
+    parts, jaw = PartDriver(rig, skin, alone), Jaw(points, rig.jaw_pivot)
+    rest = np.asarray(alone.vertices, dtype=np.float32)
+    poses = [
+        parts.pose(rest + motion, jaw.rotation(motion[alone.landmarks]), gaze) - parts.rest
+        for motion, gaze in zip(skin_motions, source.gazes, strict=True)
+    ]
+    return keys.names, np.stack(poses)
+
+
+@dataclass(frozen=True)
+class _Source:
+    """The keys on the built-in head.
+
+    Attributes
+    ----------
+    motions : (K, B, 3) float32
+        Displacements of the vertices of the built-in head.
+    shares : (K, 4) float64
+        Opening between each pair of lid landmarks as a share of that at rest; 0 where lids overlap, NaN where neither
+        moves.
+    gazes : (K, 2, 3, 3) float64
+        Rotations of the right and left eye.
+    """
+
+    motions: NDArray[np.float32]
+    shares: FloatArray
+    gazes: FloatArray
+
+    @classmethod
+    def of(cls, keys: KeySet) -> _Source:
+        head, mixtures = load_head(), keys.mixtures
+        motions = _mixed(mixtures, head.units)
+        return cls(motions, np.maximum(_shares(head, motions), 0.0), _gazes(head, mixtures))
+
+
+class _Maker:
+    """Makes keys on the skin of a head."""
+
+    def __init__(self, skin: HeadRig, source: _Source) -> None:
+        self._skin, self._source = skin, source
+        deformer = head_deformer(skin)
+        assert isinstance(deformer, RBFDeformer)
+        self._deformer = deformer
+        self._rest = np.asarray(deformer.rest)
+        self._points = np.asarray(skin.vertices, dtype=np.float64)[skin.landmarks]
+        weights = np.asarray(skin.region_weights)
+        self._eyes = EyeballContact(skin.vertices, weights.sum(axis=0), skin.eyeballs)
+        faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
+        self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)
+
+    def motions(self, keys: KeySet, progress: Callable[[float], None], refine: Refine) -> NDArray[np.float32]:
+        """Return the displacements of the vertices of the skin, (K, V, 3)."""
+        skin, moves = self._skin, self._source.motions.any(axis=(1, 2))
+        made = transferred(self._source.motions, skin.vertices, skin.landmarks, skin.region_weights)
+        near = _near(self._rest, self._points, skin.eye_distance)
+        for row in range(len(made)):
+            follows = self._followed(made[row, skin.landmarks])
+            made[row] = (follows + near * (made[row] - follows)) * np.float32(moves[row])
+        made = refine(skin, made)
+        nothing = np.zeros_like(self._rest)
+        for row, name in enumerate(keys.names):
+            progress(row / len(keys.names))
+            if not moves[row]:
+                continue
+            before = made[keys.names.index(OPENS)] if name == CLOSES and OPENS in keys.names else nothing
+            made[row] = self._corrected(row, made[row], before, sealed=name == CLOSES or name in keys.sealed)
+        return made
+
+    def _followed(self, moved: FloatArray) -> NDArray[np.float32]:
+        return np.asarray(self._deformer.deform(moved) - self._rest, dtype=np.float32)
+
+    def _corrected(
+        self, row: int, motion: NDArray[np.float32], before: NDArray[np.float32], *, sealed: bool
+    ) -> NDArray[np.float32]:
+        """Correct `motion` so that lids and lips meet, on a face that is already displaced by `before`."""
+        landmarks = self._skin.landmarks
+        for _ in range(_STEPS):
+            moved = (before + motion)[landmarks]
+            missing = self._lids(row, moved) + self._lips(row, moved, sealed=sealed)
+            if not missing.any():
+                break
+            motion = motion + self._followed(missing)
+        posed = np.asarray(self._rest + before + motion, dtype=np.float32)
+        self._eyes.resolve(posed)
+        self._slits.resolve(posed)
+        self._eyes.resolve(posed)
+        return np.asarray(posed - self._rest - before)
+
+    def _lids(self, row: int, moved: FloatArray) -> FloatArray:
+        """Displacements (66, 3) that lids lack to open or close by the same share as those of the built-in head."""
+        lacking, points = np.zeros_like(self._points), self._points
+        source = self._source.motions[row, load_head().landmarks]
+        for upper, lower, share in zip(UPPER_LIDS, LOWER_LIDS, self._source.shares[row], strict=True):
+            rest = points[lower] - points[upper]
+            gap = np.linalg.norm(rest)
+            if np.isnan(share) or gap < _OPEN * self._skin.eye_distance:
+                continue
+            along = rest / gap
+            now = (points[lower] + moved[lower] - points[upper] - moved[upper]) @ along
+            _move_apart(lacking, source, upper, lower, (share * gap - now) * along)
+        return lacking
+
+    def _lips(self, row: int, moved: FloatArray, *, sealed: bool) -> FloatArray:
+        """Displacements (66, 3) that lips lack to meet if sealed, and not to pass through each other."""
+        lacking, posed = np.zeros_like(self._points), self._points + moved
+        source = self._source.motions[row, load_head().landmarks]
+        if not source[LIPS].any():
+            return lacking
+        right, left = posed[MOUTH_CORNERS]
+        down = np.array([right[1] - left[1], left[0] - right[0], 0.0])
+        down /= max(float(np.linalg.norm(down)), 1e-12)
+        meeting = np.minimum(lip_gaps(self._points), _SEALED * self._skin.eye_distance)
+        needed = meeting - lip_gaps(posed)
+        for upper, lower, need in zip(UPPER_LIPS, LOWER_LIPS, needed, strict=True):
+            if sealed or need > 0.0:
+                _move_apart(lacking, source, upper, lower, need * down)
+        return lacking
+
+
+def _move_apart(out: FloatArray, source: FloatArray, upper: int, lower: int, by: FloatArray) -> None:
+    """Add displacements to `out` (66, 3) that move two landmarks apart, each in proportion to `source` (66, 3)."""
+    part = np.linalg.norm(source[[upper, lower]], axis=1) + 1e-9
+    part /= part.sum()
+    out[upper] -= part[0] * by
+    out[lower] += part[1] * by
+
+
+def _mixed(mixtures: FloatArray, units: FloatArray) -> NDArray[np.float32]:
+    """Mix units (52, N, 3) by `mixtures` (K, 52), (K, N, 3)."""
+    flat = mixtures.astype(np.float32) @ units.reshape(len(units), -1)
+    return np.asarray(flat.reshape(len(mixtures), -1, 3), dtype=np.float32)
+
+
+def _shares(head: Head, motions: FloatArray) -> FloatArray:
+    """Opening between the built-in head's pairs of lid landmarks as a share of that at rest, (K, 4); NaN at rest."""
+    known = head.vertices[head.landmarks].astype(np.float64)
+    moved = motions[:, head.landmarks]
+    rest = known[LOWER_LIDS] - known[UPPER_LIDS]
+    after = rest + moved[:, LOWER_LIDS] - moved[:, UPPER_LIDS]
+    shares = (after * rest).sum(axis=2) / np.square(rest).sum(axis=1)
+    still = ~(moved[:, LOWER_LIDS].any(axis=2) | moved[:, UPPER_LIDS].any(axis=2))
+    return np.where(still, np.nan, shares)
+
+
+def _near(vertices: FloatArray, points: FloatArray, unit: float) -> NDArray[np.float32]:
+    """Share of the carried motion, (V, 1); far from all landmarks, where the warp is a guess, the deformer leads."""
+    _, squared = NearestPoints(points).query(vertices)
+    return np.asarray(np.exp(-np.maximum(squared, 0.0) / (_REACH * unit) ** 2), dtype=np.float32)
+
+
+def _gazes(head: Head, mixtures: FloatArray) -> FloatArray:
+    """Rotations (K, 2, 3, 3) of the right and left eye of the built-in head under mixtures (K, 52) of its units."""
+    turns = np.tile(np.eye(3), (len(mixtures), 2, 1, 1))
+    for side, name in enumerate(("eye_right", "eye_left")):
+        eye = head.part(name)
+        rest = (eye.vertices - eye.pivot).astype(np.float64)
+        for row, motion in enumerate(_mixed(mixtures, eye.units)):
+            if motion.any():
+                turns[row, side] = fit_rotation(rest, rest + motion)
+    return turns
+
+
+def refined_keys(
+    skin: HeadRig,
+    names: Sequence[str],
+    motions: NDArray[np.float32],
+    takes: Sequence[Take],
+    progress: Callable[[float], None] = lambda share: None,
+) -> NDArray[np.float32]:
+    """Refine ARKit's keys of a head by what takes do to it (equation 9.8).
+
+    Parameters
+    ----------
+    skin : HeadRig
+        The head without its parts.
+    names : sequence of str
+        Names of the keys, (K,), of ARKit's coefficients.
+    motions : (K, V, 3) float32
+        Their displacements of the vertices: head frame, unit of the mesh.
+    takes : sequence of Take
+        Takes, each with a face.
+    progress : callable, optional
+        Is called with the share of the frames that are done, 0 to 1.
+
+    Returns
+    -------
+    (K, V, 3) float32
+        The refined displacements. Keys that the takes do not show, or that are still, stay as they were, and so do
+        those of blinks, gaze and closed lips.
+
+    Raises
+    ------
+    SourceError
+        If a take has no face.
+    """
+    columns = [COEFFICIENTS.index(name) for name in names]
+    keys = motions.reshape(len(motions), -1)
+    together, shown = np.zeros((len(names), len(names))), np.zeros(keys.shape, dtype=np.float32)
+    driver: HeadDriver | None = None
+    count = 0
+    for done, take in enumerate(takes):
+        neutral = calibrate(take)
+        found = np.flatnonzero(take.found)
+        chosen = np.zeros(len(take), dtype=bool)
+        chosen[found[np.linspace(0, len(found) - 1, min(_FRAMES, len(found))).round().astype(np.intp)]] = True
+        sample = take.part(chosen)
+        # Sums of the normal equations of 9.8 over frames: C^T C and C^T X, so that no motion has to be kept.
+        amounts = arkit_coefficients(sample, neutral)[:, columns]
+        driver = HeadDriver(skin, neutral, reuse=driver)
+        together += amounts.T @ amounts
+        count += len(amounts)
+        for number, amount in enumerate(amounts.astype(np.float32)):
+            moved = (driver.frame(sample.result(number)).vertices - driver.rest).reshape(-1)
+            shown += np.outer(amount, moved)
+            progress((done + (number + 1) / len(amounts)) / len(takes))
+    # X = (C^T C + l n 1)^-1 (C^T M + l n K) for keys X near the former K; solved for the change X - K, which is 0 for
+    # keys that the takes do not show.
+    loyal = together + _LOYALTY * max(count, 1) * np.eye(len(names))
+    change = linalg.solve(loyal, shown - together.astype(np.float32) @ keys)
+    still = ~motions.any(axis=(1, 2))
+    change[still | [name.startswith(_EXACT) for name in names]] = 0.0
+    return np.asarray((keys + change).reshape(motions.shape), dtype=np.float32)

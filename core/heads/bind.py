@@ -1,0 +1,365 @@
+"""Landmarks on an unlabelled head, found by looking at it and bending a template to it (method.md, section 7.1).
+
+The user marks a few points (corners of the eyes and the mouth, tip of the nose, chin), or none if the head is
+aligned with the axes of the mesh. The mesh may include a body. The tracker looks at a rendering of the mesh; what it
+sees decides on the attitude and guides the template. The template is the built-in head, whose skin is taken by ever
+more flexible warps to the nearest places of the mesh that face the same way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import HeadError, Message, messages
+from ..face.landmarks import (
+    EYE_LEFT,
+    EYE_RIGHT,
+    LOWER_LIP,
+    MIRROR,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    N_LANDMARKS,
+    UPPER_LIP,
+    from_ibug,
+)
+from ..mesh.surface import NearestPoints, SurfaceGraph, lips_joined
+from ..numeric.arrays import FloatArray, IntArray, as_points
+from .checks import Finding, resting_findings
+from .fit_template import NOT_FOUND, fit_template
+from .proposal import propose_regions
+from .rig import HeadRig, jaw_pivot_of
+from .sight import Sight
+from .template import Surface, Template, load_template
+
+MARKS = messages(
+    {
+        36: "Right eye, outer corner",
+        39: "Right eye, inner corner",
+        42: "Left eye, inner corner",
+        45: "Left eye, outer corner",
+        30: "Tip of the nose",
+        48: "Right mouth corner",
+        54: "Left mouth corner",
+        8: "Chin",
+    }
+)
+"""Points that a user may mark, by iBUG number; all or some of them, in any order."""
+MIN_MARKS = 4
+TOO_COARSE = Message("The mesh is too coarse for 66 landmarks. Subdivide the face, or use another mesh.")
+_ENOUGH = 5 * N_LANDMARKS
+"""Number of vertices below which a mesh in which no face is found is too coarse. The built-in head, decimated, is found
+down to 370."""
+
+_RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
+"""Landmarks that lie on the rims of openings, if the mesh has any there."""
+_RIM_REACH = 0.08
+"""Distance, in outer-eye distances, within which these landmarks are moved to a rim."""
+_RIM_REACH_SEEN = 0.04
+"""Distance within which they are if they were seen. It is shorter, as the border of a mesh is often deep inside the
+mouth or behind the lids."""
+_HEAD_SHARE = 0.8
+"""Share of a mesh's vertices below which its head is considered to have a body."""
+_MAX_DISTANCE = 0.1
+"""Distance, in outer-eye distances, beyond which a vertex that faces the same way is not accepted for a landmark."""
+_DISTINCT = 0.8
+"""Share of landmarks that need a vertex of their own if a face was seen or marked. On a coarse face two landmarks of
+the lips or lids may share one."""
+_DISTINCT_BY_SHAPE = 0.95
+"""Share of landmarks that need a vertex of their own if a face is known by its shape alone."""
+_FACING = 0.3
+"""Cosine of the angle between normals above which a vertex faces roughly the same way."""
+_SYMMETRY = 1e-3
+"""Distance, in outer-eye distances, within which vertices count as mirror images."""
+
+
+@dataclass(frozen=True)
+class Binding:
+    """Landmarks found on a mesh.
+
+    Attributes
+    ----------
+    landmarks : (66,) intp
+        Vertex of each landmark.
+    rotation : (3, 3) float64
+        Rotates the mesh upright and towards the viewer: ``vertices @ rotation.T`` is in the head frame.
+    residual : float
+        Median distance of the bent template from the mesh, in outer-eye distances.
+    strain : float
+        Mean distance of the bent landmarks from their best similarity, in outer-eye distances: 0.02 to 0.04 for a human
+        head.
+    symmetric : bool
+        Whether the head is its own mirror image. If so, the landmarks are too.
+    body : bool
+        Whether the mesh is much more than a head.
+    clarity : float
+        How clearly the tracker sees the face on a rendering of the mesh, 0 to 1; 0 if it sees none.
+    wanted : tuple of int
+        iBUG numbers of the four marks that would help most, if neither the shape nor the rendering is clear. They are
+        expected where their landmarks are now.
+    findings : tuple of Finding
+        What distinguishes the head at rest from a neutral face.
+    """
+
+    landmarks: NDArray[np.intp]
+    rotation: FloatArray
+    residual: float
+    strain: float
+    symmetric: bool
+    body: bool
+    clarity: float = 0.0
+    wanted: tuple[int, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def sure(self) -> bool:
+        """Whether this certainly is a face in this attitude: marked, clearly seen, or shaped like a human head."""
+        return not self.wanted
+
+    @property
+    def doubt(self) -> str:
+        """What to do if this may not be the face; "" if it is `sure`."""
+        if self.sure:
+            return ""
+        return Message(
+            "This face is unusual. If landmarks are misplaced, mark four points: "
+            "{label1}; {label2}; {label3}; {label4}",
+            **{f"label{place}": MARKS[number] for place, number in enumerate(self.wanted, 1)},
+        )
+
+
+def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> Binding:
+    """Find the 66 landmarks of a head.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        Positions, in any unit. Without marks, the head has to be aligned with the axes: upright and facing the viewer
+        in the head frame (tried first, and fastest), facing another side, or lying on its back or face.
+    faces : (F, K) array of int
+        Vertices of each face, padded with -1.
+    marks : mapping of int to int, optional
+        Vertices that the user marked, by iBUG number; at least four of `MARKS`.
+
+    Returns
+    -------
+    Binding
+        The landmarks.
+
+    Raises
+    ------
+    HeadError
+        If there are fewer than four marks, they lie on one line, or no face is found.
+
+    Notes
+    -----
+    Nearest places are sought by position and normal together, so that a lip is not taken for the inside of the mouth.
+    The steps are those of method.md, section 7.1: a look by the tracker, a similarity (Besl & McKay 1992), warps
+    of decreasing smoothness (Amberg et al. 2007), rims and symmetry. It takes about 1.5 s for 110,000 vertices.
+    """
+    places = as_points(vertices, "vertices", error=HeadError)
+    picked = {int(from_ibug([number])[0]): int(vertex) for number, vertex in (marks or {}).items()}
+    if picked and len(picked) < MIN_MARKS:
+        raise HeadError(
+            "Mark at least {min_marks} points, or none; got {picked}.", min_marks=MIN_MARKS, picked=len(picked)
+        )
+    if picked and (min(picked.values()) < 0 or max(picked.values()) >= len(places)):
+        raise HeadError("A marked point is not a vertex of the mesh. Mark it again.")
+    if not len(places):
+        raise HeadError("The mesh has no vertices. Choose another mesh.")
+    if len(places) < N_LANDMARKS:
+        raise HeadError(TOO_COARSE)
+    # 1. to 3. Look, similarity and warps.
+    template = load_template()
+    try:
+        fitted = fit_template(template, places, np.asarray(faces), picked)
+    except HeadError as error:
+        if picked or len(places) >= _ENOUGH:
+            raise
+        raise HeadError(TOO_COARSE) from error
+    surface, (unit, rotation, _), bent, picked = fitted.view.surface, fitted.pose, fitted.bent, dict(fitted.marks)
+    # Vertices nearest to the bent landmarks; marked points override them.
+    sight = fitted.sight
+    landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit, sight is not None)
+    graph = SurfaceGraph(surface.places, surface.faces)
+    # 4. Move landmarks to the rims of openings, and inner lips to their own side.
+    landmarks = _onto_rims(
+        graph, bent[template.landmarks], landmarks, unit * (_RIM_REACH_SEEN if sight else _RIM_REACH)
+    )
+    landmarks[list(picked)] = list(picked.values())
+    landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
+    # 5. Symmetry, on a mesh that is its own mirror image.
+    mirror = _mirror(surface.places, rotation, surface.places[landmarks], unit)
+    if mirror is not None:
+        landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
+        landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
+    if len(set(landmarks.tolist())) < (_DISTINCT if sight is not None or picked else _DISTINCT_BY_SHAPE) * N_LANDMARKS:
+        raise HeadError(TOO_COARSE if sight is not None or picked or len(places) < _ENOUGH else NOT_FOUND)
+    turn = rotation.T @ fitted.view.attitude
+    found = fitted.view.part[_distinct(graph, landmarks)]
+    body = len(fitted.view.part) < _HEAD_SHARE * len(places)
+    return Binding(
+        landmarks=found,
+        rotation=turn,
+        residual=fitted.residual,
+        strain=fitted.strain,
+        symmetric=mirror is not None,
+        body=body,
+        clarity=sight.clarity if sight else 0.0,
+        wanted=() if picked or sight is None or fitted.sure else _wanted(sight, surface.places[landmarks]),
+        findings=resting_findings(sight.shape) if sight and sight.sure else (),
+    )
+
+
+def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
+    """Return the marks, by iBUG number, for which the places found (66, 3) differ most from those seen."""
+    off = np.linalg.norm(found - sight.points, axis=1)
+    ordered = sorted(MARKS, key=lambda number: -float(off[from_ibug([number])[0]]))
+    return tuple(sorted(ordered[:MIN_MARKS]))
+
+
+def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float, seen: bool) -> NDArray[np.intp]:
+    """Find the vertices nearest to the landmarks of the bent template, (66,).
+
+    If landmarks were seen, so that they are about right, these are nearest in space among those that face roughly the
+    same way; otherwise nearest by position and normal together. If there is none within `reach` at a lid or lip, the
+    orientation of the surrounding skin is used: on a mesh without rims, the normal of a rim would lead to the underside
+    of something.
+    """
+    wanted = bent[template.landmarks]
+    own, around = template.landmark_normals(bent)
+    found = surface.nearest(wanted, own)
+    if seen:
+        close, distance = surface.close_by(wanted)
+        facing = (np.einsum("nkd,nd->nk", surface.normals[close], normals) for normals in (own, around))
+        fits = (np.maximum(*facing) > _FACING) & (distance < reach)
+        found = np.where(fits.any(axis=1), close[np.arange(N_LANDMARKS), fits.argmax(axis=1)], found)
+    away = np.linalg.norm(surface.places[found] - wanted, axis=1) > reach
+    found[away] = surface.nearest(wanted[away], around[away]) if away.any() else found[away]
+    return found
+
+
+def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:
+    """Move landmarks of lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
+    moved = np.array(landmarks, dtype=np.intp)
+    pieces = [piece for piece in graph.openings() if len(piece) < 0.5 * len(graph.vertices)]
+    if not pieces:
+        return moved
+    border = np.concatenate(pieces)
+    for i in _RIMS:
+        distance = np.linalg.norm(graph.vertices[border] - wanted[i], axis=1)
+        if distance.min() < reach:
+            moved[i] = border[np.argmin(distance)]
+    return moved
+
+
+def _on_own_lip(
+    graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, middle: NDArray[np.bool_] | None = None
+) -> NDArray[np.intp]:
+    """Move inner lip landmarks that ended on the wrong lip to their own, which is nearer along the surface.
+
+    Those in the middle of a symmetric head stay among the vertices `middle` (V,).
+    """
+    moved = np.array(landmarks, dtype=np.intp)
+    if lips_joined(graph, landmarks):
+        return moved
+    to_upper, to_lower = (graph.path_lengths(landmarks[rim].tolist()) for rim in (UPPER_LIP, LOWER_LIP))
+    for inner, own, other in (
+        (MOUTH_INNER_UPPER, to_upper, to_lower),
+        (MOUTH_INNER_LOWER, to_lower, to_upper),
+    ):
+        for i in inner[own[moved[inner]] >= other[moved[inner]]]:
+            within = own < other if middle is None or MIRROR[i] != i else (own < other) & middle
+            if len(lip := np.flatnonzero(within)):
+                moved[i] = lip[np.argmin(np.linalg.norm(graph.vertices[lip] - wanted[i], axis=1))]
+    return moved
+
+
+def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: float) -> NDArray[np.intp] | None:
+    """Find the mirror image of each vertex, (V,), if the mesh is symmetric about the middle of the face; else None."""
+    across = rotation[:, 0]
+    axis = int(np.argmax(np.abs(across)))
+    if abs(across[axis]) < 0.999:
+        return None
+    middle = float(np.median(((points + points[MIRROR]) / 2.0)[:, axis]))
+    other, index = places.copy(), NearestPoints(places)
+    for centre in (middle, 0.0):
+        other[:, axis] = 2.0 * centre - places[:, axis]
+        found, squared = index.query(other)
+        if float((squared[:, 0] < (_SYMMETRY * unit) ** 2).mean()) > 0.95:
+            return found[:, 0]
+    return None
+
+
+def _symmetric(
+    landmarks: IntArray, mirror: NDArray[np.intp], places: FloatArray, wanted: FloatArray, picked: Mapping[int, int]
+) -> NDArray[np.intp]:
+    """Mirror the better side of each pair of landmarks, and move those in the middle to the middle of the mesh."""
+    even = np.array(landmarks, dtype=np.intp)
+    middle = np.flatnonzero(mirror == np.arange(len(mirror)))
+    off = np.linalg.norm(places[landmarks] - wanted, axis=1)
+    off[list(picked)] = -1.0
+    for i, j in enumerate(MIRROR.tolist()):
+        if i == j and len(middle) and i not in picked:
+            even[i] = middle[np.argmin(np.linalg.norm(places[middle] - wanted[i], axis=1))]
+        elif i < j:
+            better, other = (i, j) if off[i] <= off[j] else (j, i)
+            if other not in picked:
+                even[other] = mirror[landmarks[better]]
+    return even
+
+
+def _distinct(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
+    """Move landmarks that share a vertex to free neighbours, as control points have to differ."""
+    spread, used = np.array(landmarks, dtype=np.intp), set()
+    for i, vertex in enumerate(landmarks.tolist()):
+        if vertex in used:
+            free = [v for v in graph.neighbours(vertex) if v not in used]
+            if not free:
+                raise HeadError(TOO_COARSE)
+            spread[i] = min(free, key=lambda v: float(np.linalg.norm(graph.vertices[v] - graph.vertices[vertex])))
+        used.add(int(spread[i]))
+    return spread
+
+
+def bind_head(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> HeadRig:
+    """Make a head of any mesh with a face.
+
+    Parameters
+    ----------
+    vertices, faces, marks : (V, 3) array, (F, K) array, mapping of int to int
+        As for `bind_landmarks`.
+
+    Returns
+    -------
+    HeadRig
+        The head, turned upright and towards the viewer: head frame, unit of `vertices`. All of the mesh counts as skin.
+
+    Raises
+    ------
+    HeadError
+        As `bind_landmarks`.
+
+    Examples
+    --------
+    >>> from facemime import bind_head, built_in_head
+    >>> mesh = built_in_head()
+    >>> head = bind_head(mesh.vertices, mesh.faces)
+    >>> head.landmarks.shape, head.region_weights.shape
+    ((66,), (3, 1781))
+    """
+    places = as_points(vertices, "vertices", error=HeadError)
+    polygons = np.asarray(faces)
+    binding = bind_landmarks(places, polygons, marks)
+    upright = places @ binding.rotation.T
+    landmarks = binding.landmarks
+    return HeadRig(
+        upright,
+        landmarks,
+        propose_regions(upright, polygons, landmarks),
+        jaw_pivot_of(upright[landmarks]),
+        faces=polygons,
+    )

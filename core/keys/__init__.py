@@ -1,1 +1,0 @@
-"""Shape keys of expressions: making them, grading them, and reading a face that they move."""

@@ -1,1 +1,0 @@
-"""Images and videos: capture, sizes, and where sound and images start."""

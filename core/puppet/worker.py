@@ -1,0 +1,371 @@
+"""The worker of a live session: takes the newest frame, tracks it, drives the heads, and publishes the result.
+
+It runs in a thread of its own, without Blender. Settings reach it as frozen values that are replaced as a whole, and
+results leave it in the same way, so that neither side waits for the other.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..drive.driver import HeadFrame
+from ..errors import FacemimeError, OutputError
+from ..takes.neutral import Neutral
+from ..takes.take import Take, TakeRecorder
+from ..tracking.overlay import draw_preview
+from ..tracking.result import TrackResult
+from ..tracking.tracker import FaceTracker
+from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
+from .head_drivers import HeadDrivers, LiveHead
+from .outputs import Display, Output, Recorder
+from .performer import Performer, Quality
+from .puppet_settings import PuppetSettings
+from .sources import LiveFrame, LiveSource
+
+_PATIENCE = 0.1
+"""Seconds to wait for a frame before pending frames are written."""
+_ENDING = 5.0
+"""Seconds that `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
+_LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
+"""Loads a tracker with a gradual search, as a long search would stall the puppet when somebody returns to the
+camera."""
+
+
+@dataclass(frozen=True)
+class LiveOptions:
+    """Options that may change during a session.
+
+    Attributes
+    ----------
+    smoothing : float
+        Amount for `ResultSmoother`; 0 disables smoothing.
+    preview : int
+        Width of the preview in pixels; 0 for none.
+    face : (float, float) or None
+        Position of the face to track, as for `FaceTracker.choose`; None for the largest.
+    tracking : TrackingSettings
+        How faces are found.
+    learn : bool
+        Whether to learn the performer meanwhile: the neutral face, unless it was calibrated, and where eyes are shut.
+    """
+
+    smoothing: float = PuppetSettings.smoothing
+    preview: int = 0
+    face: tuple[float, float] | None = None
+    tracking: TrackingSettings = DEFAULTS
+    learn: bool = True
+
+
+@dataclass(frozen=True)
+class LiveResult:
+    """The result of a frame.
+
+    Attributes
+    ----------
+    number : int
+        Number of the frame, increasing by 1.
+    time : float
+        Time in the source in seconds.
+    result : TrackResult
+        Result of the performer of the first head, smoothed according to the options.
+    heads : tuple of HeadFrame
+        Frame of each head, by its performer; empty if there is no face.
+    prepared : tuple
+        Result of `LiveHead.prepare` for each head.
+    taken, began, tracked, driven : float
+        `time.perf_counter()` when the frame arrived, and when the worker had the frame, the landmarks, and the heads.
+    preview : (H, W, 4) float32 or None
+        As from `draw_preview`; None without a preview.
+    """
+
+    number: int
+    time: float
+    result: TrackResult
+    heads: tuple[HeadFrame, ...]
+    prepared: tuple[Any, ...]
+    taken: float
+    began: float
+    tracked: float
+    driven: float
+    preview: NDArray[np.float32] | None = None
+
+
+@dataclass
+class Counts:
+    """Numbers of frames: `tracked`, of which `lost` have no face, and `dropped` ones that were not tracked."""
+
+    tracked: int = 0
+    lost: int = 0
+    dropped: int = 0
+
+
+class LiveWorker:
+    """Tracks a source in a thread until `close`, the end of the source, or an error before the first frame.
+
+    Parameters
+    ----------
+    source : LiveSource
+        The source; closed with the worker.
+    neutral : Neutral, optional
+        The performer's neutral face; by default the first second with a face is used.
+    heads : tuple of LiveHead
+        The heads to drive.
+    options : LiveOptions
+        Initial options.
+    load_tracker : callable
+        Returns the tracker. Called in the thread, as it takes a moment.
+    output : Output, optional
+        Receives every frame; closed with the worker.
+
+    Attributes
+    ----------
+    options : LiveOptions
+        The current options; may be assigned at any time, as may `heads` and `displays`.
+    displays : tuple of Display
+        Receive every frame of the heads; they are not closed with the worker.
+    latest : LiveResult or None
+        Result of the newest frame.
+    counts : Counts
+        Numbers of frames.
+    message : str
+        Reason why no frames come; otherwise "".
+    error : Exception or None
+        Error that ended the worker.
+    recording_error : OutputError or None
+        Error that ended a recording; what was written before is safe.
+    model : str
+        Identifier of the tracker model; "" until it is loaded.
+    """
+
+    def __init__(
+        self,
+        source: LiveSource,
+        *,
+        neutral: Neutral | None = None,
+        heads: tuple[LiveHead, ...] = (),
+        options: LiveOptions = LiveOptions(),
+        load_tracker: Callable[[], FaceTracker] = _LOAD_TRACKER,
+        output: Output | None = None,
+    ) -> None:
+        self.source, self.heads, self.options = source, heads, options
+        self.latest: LiveResult | None = None
+        self.counts = Counts()
+        self.message = ""
+        self.error: Exception | None = None
+        self.recording_error: OutputError | None = None
+        self._load_tracker, self.output = load_tracker, output
+        self.displays: tuple[Display, ...] = ()
+        self._first = Performer(neutral)
+        self._performers = {0: self._first}
+        self._recorder: Recorder | None = None
+        self._recording = threading.Lock()
+        self._drivers = HeadDrivers()
+        self._size: tuple[int, ...] = ()
+        self._face: tuple[float, float] | None = None
+        self._next_face = False
+        self.model = ""
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
+
+    def start(self) -> None:
+        """Start the thread."""
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread is running."""
+        return self._thread.is_alive()
+
+    @property
+    def image_size(self) -> tuple[int, int]:
+        """Width and height of the frames in pixels; (0, 0) before the first frame, and for takes."""
+        return (self._size[1], self._size[0]) if self._size else (0, 0)
+
+    @property
+    def neutral(self) -> Neutral | None:
+        """The neutral face of the performer of the first head."""
+        return self._first.neutral
+
+    @property
+    def quality(self) -> Quality | None:
+        """Quality of the last calibration of the performer of the first head."""
+        return self._first.quality
+
+    @quality.setter
+    def quality(self, quality: Quality | None) -> None:
+        self._first.quality = quality
+
+    @property
+    def calibrating(self) -> bool:
+        """Whether a requested calibration is in progress."""
+        return self._first.calibrating
+
+    def performer(self, number: int) -> Performer | None:
+        """Return a performer of a source with several; None if none of their frames has come yet."""
+        return self._performers.get(number)
+
+    def close(self) -> None:
+        """End the thread, the source and any recording. May be called twice, and before `start`.
+
+        If the source or the disk does not respond, this returns after some seconds anyway: `running` stays true, and
+        the thread ends by itself when it can.
+
+        Raises
+        ------
+        OutputError
+            If the end of a recording cannot be written.
+        """
+        self._stop.set()
+        self.source.close()
+        if self._thread.is_alive():
+            self._thread.join(_ENDING)
+        if self.output is not None:
+            self.output.close()
+        self.stop_recording()
+
+    def calibrate(self, *, range_of: bool = False) -> None:
+        """Use the next second as the neutral face of all performers, or the next seconds as their range."""
+        for performer in tuple(self._performers.values()):
+            if not range_of or performer.neutral is not None:
+                performer.calibrate(range_of=performer.neutral if range_of else None)
+
+    @property
+    def learnt(self) -> Neutral | None:
+        """The neutral face of the performer of the first head, once enough has been learnt to keep it."""
+        return self._first.learnt
+
+    def forget(self) -> None:
+        """Forget all neutral faces. The next second with a face is used, and learning starts from scratch."""
+        for performer in tuple(self._performers.values()):
+            performer.forget()
+
+    def follow_next(self) -> None:
+        """Track another face in view. See `FaceTracker.choose_next`."""
+        self._next_face = True
+
+    def recent_take(self) -> Take:
+        """Return the take of the last half minute; SourceError before the first frame."""
+        recorder = TakeRecorder({"source": self.source.name, "clock": self.source.clock})
+        for time, result in tuple(self._first.recent):
+            recorder.append(time, result)
+        return recorder.finish()
+
+    def record(self, recorder: Recorder) -> None:
+        """Record all further frames with `recorder`, which is closed at the end."""
+        self.stop_recording()
+        with self._recording:
+            self._recorder, self.recording_error = recorder, None
+
+    def stop_recording(self) -> None:
+        """End the recording, if there is one; OutputError if its end cannot be written."""
+        if not self._recording.acquire(timeout=_ENDING):
+            raise OutputError(
+                "The disk of the recording does not respond. What was written before is safe: restore it "
+                "with Find Takes when the disk is back."
+            )
+        try:
+            recorder, self._recorder = self._recorder, None
+        finally:
+            self._recording.release()
+        if recorder is not None:
+            recorder.close()
+
+    def _work(self) -> None:
+        try:
+            tracker = self._load_tracker()
+            self.model = tracker.model_id
+            while not self._stop.is_set() and not self.source.ended:
+                frame = self._read()
+                if frame is not None:
+                    self._frame(tracker, frame)
+        except Exception as error:  # read by the user's thread
+            self.error = error
+
+    def _read(self) -> LiveFrame | None:
+        try:
+            frame = self.source.read(_PATIENCE)
+        except FacemimeError as error:
+            if self.counts.tracked == 0:
+                raise
+            self.message = str(error)
+            self._stop.wait(_PATIENCE)
+            frame = None
+        else:
+            if frame is not None or self.source.message:
+                self.message = self.source.message
+            if frame is not None:
+                self.counts.dropped += frame.dropped
+        if frame is None:
+            self._record()
+        return frame
+
+    def _frame(self, tracker: FaceTracker, frame: LiveFrame) -> None:
+        began = perf_counter()
+        options = self.options
+        seen = self._tracked(tracker, frame, options)
+        performer = self._performer_of(frame)
+        if not frame.filled:
+            self._record(frame, seen)
+        learn = options.learn and not self.source.complete
+        result = performer.add(frame, seen, smoothing=options.smoothing, learn=learn)
+        tracked = perf_counter()
+        if self.output is not None and performer is self._first:
+            self.output.send(frame.time, result, performer.neutral, frame.image_size)
+        heads, prepared = self._drivers.drive(self.heads, performer.neutral, result, frame.heads)
+        driven = perf_counter()
+        for display in self.displays:
+            display.show(frame.taken, self._drivers.drivers, heads)
+        first = self._first.result or result
+        preview = draw_preview(frame.image, first, options.preview) if options.preview else None
+        self.counts.tracked += 1
+        self.counts.lost += not result.found
+        self.latest = LiveResult(
+            self.counts.tracked, frame.time, first, heads, prepared, frame.taken, began, tracked, driven, preview
+        )
+
+    def _performer_of(self, frame: LiveFrame) -> Performer:
+        """Return the performer in a frame."""
+        if (performer := self._performers.get(frame.performer)) is None:
+            performer = self._performers[frame.performer] = Performer()
+        if frame.heads is None or 0 in frame.heads:
+            self._first = performer
+        return performer
+
+    def _tracked(self, tracker: FaceTracker, frame: LiveFrame, options: LiveOptions) -> TrackResult:
+        if frame.result is not None:
+            return frame.result
+        assert frame.image is not None
+        tracker.settings, face = options.tracking, options.face
+        if frame.image.shape != self._size or face != self._face:
+            tracker.reset()
+            self._first.change()
+            self._size, self._face = frame.image.shape, face
+            if face is not None:
+                tracker.choose(*face)
+        if self._next_face:
+            self._next_face = False
+            tracker.choose_next()
+            self._first.change()
+        return tracker.track(frame.image)
+
+    def _record(self, frame: LiveFrame | None = None, seen: TrackResult | None = None) -> None:
+        """Record a frame, or write pending frames if there is none."""
+        with self._recording:
+            if self._recorder is None:
+                return
+            try:
+                if frame is None or seen is None:
+                    self._recorder.flush()
+                else:
+                    self._recorder.append(frame, seen)
+            except OutputError as error:
+                self._recorder = None
+                self.recording_error = error

@@ -1,1 +1,0 @@
-"""Recordings of other programs, as takes."""

@@ -1,0 +1,283 @@
+"""Recordings of other programs as takes, told apart by their content (takes.md).
+
+Audio2Face writes JSON, Face Cap a text of its own, and OpenFace a table of action units.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping
+from io import StringIO
+from itertools import islice
+from math import pi
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import DataError, Message, SourceError
+from ..face.names import COEFFICIENT_INDEX, N_COEFFICIENTS
+from ..face.rotation import euler_to_matrix, from_face_axes, matrix_to_euler
+from ..files.capture import check_readable
+from ..files.reading import as_list, as_number, as_object, as_text, parse_json, read_text
+from ..heads.built_in import LOOKS, looks_of
+from ..numeric.arrays import FloatArray
+from .coefficient_table import from_any_csv
+from .curves import CoefficientTrack, coefficients_of_keys, recorded
+from .table_angles import AUTOMATIC
+from .table_text import SUFFIXES as TABLES
+from .table_text import TextTable, is_number, read_decoded, read_table
+from .take import Take
+
+_RATE = 60.0
+"""Frames per second of a clip that states none, as Unity's editor has."""
+_FASTEST = 1000.0
+"""Largest number of frames per second that a clip may state."""
+_MAX_FRAMES = 1_000_000
+_FULL = 100.0
+"""Weight at which a blend shape is fully shown."""
+_HEADER = "%YAML"
+_MAX_CURVES = 1_000
+_MAX_VALUE = 1e6
+"""Largest value of a curve in Audio2Face's file."""
+_AUDIO2FACE_RATE = 60.0
+"""Frames per second of Audio2Face's file if it states none, as its importers assume."""
+_FIRST_LINES = 10
+"""Lines by which Face Cap's texts are recognised."""
+_FIRST_CURVE = 12
+"""Face Cap: k, milliseconds, position, rotation and two angles of each eye precede the curves."""
+_ACTION_UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
+    "AU01": (("browInnerUp", 1.0),),
+    "AU02": (("browOuterUp", 1.0),),
+    "AU04": (("browDown", 1.0),),
+    "AU05": (("eyeWide", 1.0),),
+    "AU06": (("cheekSquint", 1.0),),
+    "AU07": (("eyeSquint", 1.0),),
+    "AU09": (("noseSneer", 1.0),),
+    "AU10": (("mouthUpperUp", 1.0),),
+    "AU12": (("mouthSmile", 1.0),),
+    "AU14": (("mouthDimple", 1.0),),
+    "AU15": (("mouthFrown", 1.0),),
+    "AU17": (("mouthShrugLower", 1.0),),
+    "AU20": (("mouthStretch", 1.0),),
+    "AU23": (("mouthPress", 1.0),),
+    "AU25": (("mouthLowerDown", 0.5), ("mouthUpperUp", 0.25)),
+    "AU26": (("jawOpen", 1.0),),
+    "AU45": (("eyeBlink", 1.0),),
+}
+"""What each action unit of OpenFace shows at its full intensity; a name without a side stands for both sides."""
+
+
+_CURVE = re.compile(r"^  - (?:serializedVersion|curve|attribute|path|classID):", re.MULTILINE)
+_ATTRIBUTE = re.compile(r"^    attribute: (?:'|\")?blendShape\.(.+?)(?:'|\")?\s*$", re.MULTILINE)
+_KEY = re.compile(r"^[\s-]+time: (\S+)\s+value: (\S+)\s+inSlope: (\S+)\s+outSlope: (\S+)", re.MULTILINE)
+_SAMPLES = re.compile(r"^  m_SampleRate: (\S+)", re.MULTILINE)
+
+
+def read_unity_clip(path: Path) -> CoefficientTrack:
+    """Read a clip that Unity saved as text; ValueError if it is anything else, OSError if it cannot be read."""
+    text = read_text(path)
+    if not text.startswith(_HEADER) or "AnimationClip:" not in text:
+        raise DataError("it is not a clip that Unity saved as text (Edit > Project Settings > Editor > Force Text)")
+    body = text.partition("  m_FloatCurves:")[2]
+    body = body[: match.start()] if (match := re.search(r"^  m_\w+:", body, re.MULTILINE)) else body
+    starts = [match.start() for match in _CURVE.finditer(body)]
+    keys: dict[str, FloatArray] = {}
+    for start, end in zip(starts, [*starts[1:], len(body)], strict=True):
+        curve = "  " + body[start + 2 : end].replace("- ", "  ", 1)
+        if (named := _ATTRIBUTE.search(curve)) is not None:
+            points = np.array([[_number(cell) for cell in key] for key in _KEY.findall(curve)]).reshape(-1, 4)
+            if len(points):  # the first mesh counts, as others that have the same key show the same
+                keys.setdefault(named[1], points[np.argsort(points[:, 0], kind="stable")])
+    if not keys:
+        raise DataError("it has no curves of blend shapes")
+    rate = _number(match[1]) if (match := _SAMPLES.search(text)) else _RATE
+    if not 0.0 < rate <= _FASTEST:
+        raise DataError("it states {rate:g} frames per second", rate=rate)
+    first, last = min(of[0, 0] for of in keys.values()), max(of[-1, 0] for of in keys.values())
+    if (last - first) * rate > _MAX_FRAMES:
+        raise DataError("it has more than {max_frames:,} frames", max_frames=_MAX_FRAMES)
+    times = first + np.arange(round((last - first) * rate) + 1) / rate
+    curves = {name: _sampled(of, times) / _FULL for name, of in keys.items()}
+    values, notes = coefficients_of_keys(curves)
+    return CoefficientTrack(times, values, notes=notes)
+
+
+def _number(text: str) -> float:
+    """Read a number, or a slope, which is infinite where a curve jumps."""
+    value = float(text.replace("Infinity", "inf"))
+    if np.isnan(value):
+        raise DataError("it has values that are not possible numbers")
+    return value
+
+
+def _sampled(keys: FloatArray, times: FloatArray) -> FloatArray:
+    """Evaluate a curve of keys (K, 4), time, value and slopes before and after, which is a cubic between two keys."""
+    places = np.clip(np.searchsorted(keys[:, 0], times, side="right") - 1, 0, max(len(keys) - 2, 0))
+    if len(keys) == 1:
+        return np.full(len(times), keys[0, 1])
+    begin, end = keys[places], keys[places + 1]
+    span = np.maximum(end[:, 0] - begin[:, 0], 1e-9)
+    at = np.clip((times - begin[:, 0]) / span, 0.0, 1.0)
+    jumps = ~np.isfinite(begin[:, 3]) | ~np.isfinite(end[:, 2])
+    leave, arrive = (np.where(jumps, 0.0, slope) * span for slope in (begin[:, 3], end[:, 2]))
+    smooth = at * at * (3.0 - 2.0 * at)
+    bend = at * (1.0 - at) * ((1.0 - at) * leave - at * arrive)
+    curve = begin[:, 1] + smooth * (end[:, 1] - begin[:, 1]) + bend
+    return np.asarray(np.where(jumps, np.where(at < 1.0, begin[:, 1], end[:, 1]), curve))
+
+
+OPENFACE_TITLES = frozenset(f"{unit}_r" for unit in _ACTION_UNITS)
+"""Titles of its columns with the intensities of action units."""
+_INTENSITY = 5.0
+"""Largest intensity of OpenFace's action units."""
+_POSE = ("pose_Rx", "pose_Ry", "pose_Rz")
+"""Titles of OpenFace's columns with the rotation of the head."""
+_GAZE = ("gaze_angle_x", "gaze_angle_y")
+"""Titles of its columns with the gaze."""
+
+
+def read_audio2face(path: Path) -> CoefficientTrack:
+    """Read the JSON that Audio2Face exports; ValueError if it is anything else, OSError if it cannot be read."""
+    data = as_object(parse_json(read_text(path)), "the file")
+    names = [as_text(name, "a name") for name in as_list(data.get("facsNames"), "facsNames", _MAX_CURVES)]
+    rows = as_list(data.get("weightMat"), "weightMat", _MAX_FRAMES)
+    fps = as_number(data.get("exportFps", _AUDIO2FACE_RATE), "exportFps", 1.0, 1000.0)
+    if not names or not rows:
+        raise DataError("it has no frames")
+    values = np.empty((len(rows), len(names)))
+    for number, row in enumerate(rows):
+        cells = as_list(row, "a frame", _MAX_CURVES)
+        if len(cells) != len(names):
+            raise DataError(
+                "frame {number} has {cells} values for {names} names",
+                number=number + 1,
+                cells=len(cells),
+                names=len(names),
+            )
+        values[number] = [as_number(cell, "a value", -_MAX_VALUE, _MAX_VALUE) for cell in cells]
+    coefficients, notes = coefficients_of_keys(dict(zip(names, values.T, strict=True)))
+    return CoefficientTrack(np.arange(len(rows)) / fps, coefficients, notes=notes)
+
+
+def is_face_cap(text: str) -> bool:
+    """Return whether a text begins as Face Cap's recordings do: lines of info, of names, and of frames."""
+    lines = [line for line in islice(StringIO(text), _FIRST_LINES) if line.strip()]
+    kinds = {line.partition(",")[0].strip() for line in lines}
+    return "bs" in kinds and kinds <= {"info", "bs", "k"}
+
+
+def read_face_cap(text: str) -> CoefficientTrack:
+    """Read a recording of Face Cap; ValueError if it is damaged."""
+    names: list[str] = []
+    frames: list[list[float]] = []
+    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
+        if row and row[0].strip() == "bs":
+            names = [name.strip() for name in row[1:] if name.strip()]
+        elif row and row[0].strip() == "k":
+            cells = [cell.strip() for cell in row[1 : _FIRST_CURVE + len(names)]]
+            if len(cells) < _FIRST_CURVE - 1 + len(names) or not all(map(is_number, cells)):
+                raise DataError("line {number} is not a frame of {names} values", number=number, names=len(names))
+            frames.append([float(cell) for cell in cells])
+    values = np.array(frames)
+    if not len(values) or not np.isfinite(values).all() or np.abs(values).max() > 1e15:
+        raise DataError("it has no frames" if not frames else "it has values that are not possible numbers")
+    coefficients, notes = coefficients_of_keys(dict(zip(names, values[:, _FIRST_CURVE - 1 :].T, strict=True)))
+    turns = np.array([from_face_axes(*angles) for angles in (values[:, 4:7] * pi / 180.0).tolist()])
+    moved = (values[:, 1:4] - values[0, 1:4]) * (1.0, -1.0, -1.0)
+    return CoefficientTrack(values[:, 0] / 1000.0, coefficients, turns, moved, notes=notes)
+
+
+def read_openface(table: TextTable) -> CoefficientTrack:
+    """Read a table of OpenFace: action units, the rotation of the head, and the gaze; ValueError if it is damaged."""
+    places = {title: place for place, title in enumerate(table.head)}
+    rows = []
+    for number, row in enumerate(table.lines, start=1):
+        if number > _MAX_FRAMES:
+            raise DataError("it has more than {max_frames:,} rows", max_frames=_MAX_FRAMES)
+        if len(row) < len(table.head) or not all(map(is_number, row[: len(table.head)])):
+            raise DataError("row {number} has a value that is not a number", number=number)
+        rows.append([float(cell) for cell in row[: len(table.head)]])
+    values = np.nan_to_num(np.array(rows, ndmin=2), posinf=0.0, neginf=0.0)
+    if not rows or "timestamp" not in places:
+        raise DataError("it has no times of frames")
+    faces = values[:, places["face_id"]] if "face_id" in places else np.zeros(len(values))
+    values = values[faces == faces[0]]
+    columns = {title: values[:, place] for title, place in places.items()}
+    coefficients = np.zeros((len(values), N_COEFFICIENTS))
+    for unit, shows in _ACTION_UNITS.items():
+        for source, gain in shows if f"{unit}_r" in columns else ():
+            for name in [source] if source in COEFFICIENT_INDEX else [f"{source}Left", f"{source}Right"]:
+                coefficients[:, COEFFICIENT_INDEX[name]] += gain * columns[f"{unit}_r"] / _INTENSITY
+    turns = np.array([_turn(*angles) for angles in np.column_stack([columns.get(n, 0 * faces) for n in _POSE])])
+    if set(_GAZE) <= set(columns):
+        coefficients[:, LOOKS] = _looks(turns, columns[_GAZE[0]], columns[_GAZE[1]])
+    rotations = np.array([matrix_to_euler(turn) for turn in turns])
+    found = columns["success"] > 0.5 if "success" in columns else None
+    note = Message("OpenFace's action units do not tell left from right. They were used for both sides.")
+    return CoefficientTrack(columns["timestamp"], coefficients, rotations, found=found, notes=[note])
+
+
+def _turn(x: float, y: float, z: float) -> FloatArray:
+    """Return the rotation of OpenFace's angles, whose axes are those of an image: z first, then y, then x."""
+    return euler_to_matrix(x, 0.0, 0.0) @ euler_to_matrix(0.0, y, 0.0) @ euler_to_matrix(0.0, 0.0, z)
+
+
+def _looks(turns: FloatArray, across: FloatArray, down: FloatArray) -> FloatArray:
+    """Return (N, 8) coefficients of both eyes' direction, whose angles OpenFace measures from the camera's axis."""
+    seen = np.stack([np.tan(across), np.tan(down), -np.ones(len(across))], axis=1)
+    own = (np.swapaxes(turns, 1, 2) @ seen[:, :, None])[..., 0]
+    yaw, pitch = -np.arctan2(own[:, 0], -own[:, 2]), np.arctan2(own[:, 1], np.hypot(own[:, 0], own[:, 2]))
+    eyes = [euler_to_matrix(0.0, y, 0.0) @ euler_to_matrix(p, 0.0, 0.0) for p, y in zip(pitch, yaw, strict=True)]
+    return looks_of(np.repeat(np.array(eyes)[:, None], 2, axis=1))
+
+
+SUFFIXES = (*TABLES, ".json", ".anim")
+"""Suffixes of what can be read."""
+_MIN_UNITS = 8
+"""Titles of OpenFace's action units by which its tables are recognised: half of the 17."""
+_READERS = {".json": ("Audio2Face", read_audio2face), ".anim": ("Unity", read_unity_clip)}
+
+
+def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
+    """Read a recording of another program, or a table of numbers.
+
+    These are tables of coefficients and of takes, Audio2Face's JSON, Face Cap's text, OpenFace's table and Unity's
+    clips. What was assumed is in ``info["notes"]``.
+
+    Parameters
+    ----------
+    angles : {"automatic", "radians", "degrees"}
+        Unit of the rotation of the head in a table of coefficients.
+
+    Raises
+    ------
+    SourceError
+        If the file cannot be read; the message states what is wrong.
+    """
+    path = Path(path)
+    if not check_readable(path):
+        raise SourceError("There is no file {path}. Check its name.", path=path)
+    program, reader = _READERS.get(path.suffix.lower(), ("", None))
+    try:
+        if reader is not None:
+            return recorded(reader(path), path.name)
+        if (found := _other_text(path)) is not None:
+            program, performance = found
+            return recorded(performance, path.name)
+    except (ValueError, OSError, csv.Error) as error:
+        raise SourceError(
+            "{path} cannot be read as a recording of {program}: {error}.",
+            path=path,
+            program=program or Message("a program"),
+            error=error,
+        ) from error
+    return from_any_csv(path, angles)
+
+
+def _other_text(path: Path) -> tuple[str, CoefficientTrack] | None:
+    """Return what a text that is no table of coefficients shows, and the program that wrote it; None for a table."""
+    if is_face_cap(text := read_decoded(path)):
+        return "Face Cap", read_face_cap(text)
+    table = read_table(path, OPENFACE_TITLES.__contains__)
+    return ("OpenFace", read_openface(table)) if len(OPENFACE_TITLES & set(table.head)) >= _MIN_UNITS else None

@@ -1,0 +1,60 @@
+"""Face units made on a head."""
+
+import numpy as np
+import pytest
+
+from facemime.core.bake.expression_keys import expression_keys
+from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.eyeballs import part_eyeball
+from facemime.core.heads.rig import Part, built_in_head
+from tests.helpers.parted_heads import with_parts
+
+
+@pytest.fixture(scope="module")
+def made():
+    return expression_keys(with_parts())
+
+
+def test_keys_made_on_the_built_in_head_are_nearly_its_own(made):
+    head = load_head()
+    names, motions = made
+    assert names == head.unit_names
+    skin = motions[:, : len(head.vertices)]
+    error = np.linalg.norm(skin - head.units, axis=2).mean(axis=1)
+    size = np.linalg.norm(head.units, axis=2).mean(axis=1)
+    assert error.sum() < 0.12 * size.sum()
+
+
+def test_a_blink_shuts_the_lids_and_keeps_them_outside_the_eye(made):
+    head = load_head()
+    names, motions = made
+    shut = head.vertices + motions[names.index("eyeBlinkLeft"), : len(head.vertices)]
+    own = head.vertices + head.units[names.index("eyeBlinkLeft")]
+    for upper, lower in zip(UPPER_LIDS[2:], LOWER_LIDS[2:], strict=True):
+        a, b = head.landmarks[[upper, lower]]
+        rest = np.linalg.norm(head.vertices[a] - head.vertices[b])
+        wanted = np.linalg.norm(own[a] - own[b])
+        assert abs(np.linalg.norm(shut[a] - shut[b]) - wanted) < 0.1 * rest
+
+
+def test_the_jaw_carries_the_lower_teeth_and_looks_turn_the_eyes(made):
+    rig = with_parts()
+    names, motions = made
+    kinds, rest = rig.kinds, rig.all_vertices
+    jaw = motions[names.index("jawOpen")]
+    assert np.linalg.norm(jaw[kinds == Part.TEETH_LOWER], axis=1).mean() > 0.05 * rig.eye_distance
+    assert not jaw[kinds == Part.TEETH_UPPER].any()
+    eye = kinds == Part.EYE_LEFT
+    centre = part_eyeball(rest[eye])[0][:3]
+    look = motions[names.index("eyeLookUpLeft")]
+    before, after = rest[eye] - centre, rest[eye] + look[eye] - centre
+    np.testing.assert_allclose(np.linalg.norm(before, axis=1), np.linalg.norm(after, axis=1), rtol=1e-4)
+    assert np.abs(look[eye]).max() > 0.02 * rig.eye_distance
+    assert np.abs(motions[names.index("mouthSmileLeft")][eye]).max() < 1e-6
+
+
+def test_a_head_without_parts_gets_keys_too():
+    names, motions = expression_keys(built_in_head())
+    assert motions.shape == (len(names), len(load_head().vertices), 3)
+    assert np.isfinite(motions).all()

@@ -1,0 +1,164 @@
+"""Frames of video files."""
+
+import contextlib
+import os
+import socket
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from facemime.core.errors import OutputError, SourceError
+from facemime.core.files import capture
+from facemime.core.files.capture import Frame, VideoSource, at_constant_rate, is_address, read_image, write_image
+from tests.helpers.turned import turned_clip
+
+
+def write_clip(path: Path, count: int, fps: float = 20.0, codec: str = "mp4v") -> Path:
+    """A clip whose frames become brighter."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), fps, (64, 48))
+    for i in range(count):
+        writer.write(np.full((48, 64, 3), 5 * i, np.uint8))
+    writer.release()
+    return path
+
+
+def test_frames_come_in_order_with_presentation_times(tmp_path):
+    with VideoSource(write_clip(tmp_path / "clip.mp4", 12)) as source:
+        frames = list(source)
+    assert [frame.index for frame in frames] == list(range(12))
+    np.testing.assert_allclose([frame.time for frame in frames], np.arange(12) / 20.0, atol=1e-3)
+    means = [frame.image.mean() for frame in frames]
+    assert frames[0].image.shape == (48, 64, 3) and np.all(np.diff(means) > 0)
+
+
+@pytest.mark.parametrize(("turn", "bright"), [(0, "top"), (90, "right"), (180, "bottom"), (270, "left")])
+def test_phone_videos_are_upright_in_any_orientation(tmp_path, turn, bright):
+    with VideoSource(turned_clip(tmp_path / "clip.mp4", turn)) as source:
+        image = next(iter(source)).image
+    assert source.turn == turn and image.shape == ((48, 64, 3) if turn % 180 == 0 else (64, 48, 3))
+    parts = {"top": image[:12], "bottom": image[-12:], "left": image[:, :12], "right": image[:, -12:]}
+    assert max(parts, key=lambda side: parts[side].mean()) == bright
+
+
+def test_a_truncated_video_yields_its_complete_frames(tmp_path):
+    path = write_clip(tmp_path / "clip.avi", 40, codec="MJPG")
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    with VideoSource(path) as source:
+        assert 5 < len(list(source)) < 40
+
+
+@pytest.mark.parametrize("content", [b"", b"not a video at all", b"\x00" * 4096])
+def test_files_that_are_not_videos_are_clear_errors(tmp_path, content, capfd):
+    path = tmp_path / "clip.mp4"
+    path.write_bytes(content)
+    with pytest.raises(SourceError, match="cannot be read as a video"):
+        VideoSource(path)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_container_without_frames_is_a_clear_error(tmp_path):
+    path = write_clip(tmp_path / "clip.avi", 0, codec="MJPG")
+    with pytest.raises(SourceError, match=r"cannot be read as a video|No frame"), VideoSource(path) as source:
+        list(source)
+
+
+def test_missing_files_folders_and_unreadable_files_have_different_errors(tmp_path):
+    with pytest.raises(SourceError, match="There is no file"):
+        VideoSource(tmp_path / "none.mp4")
+    with pytest.raises(SourceError, match="not a file"):
+        VideoSource(tmp_path)
+    if os.getuid() == 0:
+        pytest.skip("root may read every file")
+    path = write_clip(tmp_path / "clip.mp4", 3)
+    path.chmod(0)
+    with pytest.raises(SourceError, match="no permission"):
+        VideoSource(path)
+
+
+def test_a_variable_rate_becomes_constant_without_drift():
+    image = np.zeros((1, 1, 3), np.uint8)
+    times = np.cumsum([0.0, *np.random.default_rng(0).uniform(0.01, 0.08, 300)])
+    frames = [Frame(image, float(t), i) for i, t in enumerate(times)]
+    steady = list(at_constant_rate(frames, 30.0))
+    for n, frame in enumerate(steady):
+        assert frame.time == pytest.approx(n / 30.0)
+        assert times[frame.index] <= frame.time + 0.5 / 30.0 + 1e-9
+        if frame.index + 1 < len(times):
+            assert times[frame.index + 1] > frame.time - 0.5 / 30.0 - 1e-9
+    assert abs(steady[-1].time - times[-1]) < 1.5 / 30.0
+
+
+def test_a_constant_rate_keeps_every_frame_once():
+    image = np.zeros((1, 1, 3), np.uint8)
+    frames = [Frame(image, i / 25.0, i) for i in range(50)]
+    assert [frame.index for frame in at_constant_rate(frames, 25.0)] == list(range(50))
+
+
+def test_images_survive_and_invalid_ones_are_refused(tmp_path):
+    image = np.random.default_rng(0).integers(0, 255, (20, 30, 3)).astype(np.uint8)
+    write_image(tmp_path / "a.png", image)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), image)
+    (tmp_path / "b.png").write_bytes(b"")
+    for path in (tmp_path / "b.png", tmp_path / "none.png"):
+        with pytest.raises(SourceError):
+            read_image(path)
+    with pytest.raises(OutputError, match="suffix"):
+        write_image(tmp_path / "a.xyz", image)
+
+
+def test_oversized_frames_are_refused_before_decoding(tmp_path, monkeypatch):
+    path = write_clip(tmp_path / "clip.avi", 2, codec="MJPG")
+    monkeypatch.setattr(capture, "MAX_PIXELS", 64 * 48)
+    with VideoSource(path) as source:
+        assert len(list(source)) == 2
+    monkeypatch.setattr(capture, "MAX_PIXELS", 64 * 48 - 1)
+    with pytest.raises(SourceError, match="too large: 64 x 48 pixels"):
+        VideoSource(path)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="pipes and devices as POSIX has them")
+def test_pipes_and_devices_are_not_files(tmp_path):
+    os.mkfifo(tmp_path / "pipe.mp4")
+    (tmp_path / "zero.mp4").symlink_to("/dev/zero")
+    for name in ("pipe.mp4", "zero.mp4"):
+        with pytest.raises(SourceError, match="but a pipe or a device"):
+            VideoSource(tmp_path / name)
+        with pytest.raises(SourceError, match="but a pipe or a device"):
+            read_image(tmp_path / name)
+    for name in ("a\0b", "x" * 300):
+        with pytest.raises(SourceError, match="Check the path"):
+            VideoSource(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["http://phone:8080/video", "http:phone/video", "HTTP:x", "rtsp:x", "udp://@:1234", "tcp:x", "concat:a|b", "file:a",
+     "async:http:x", "subfile,,start,0,end,0,,:http:x"],
+)  # fmt: skip
+def test_everything_that_ffmpeg_takes_for_an_address_is_recognised(text):
+    assert is_address(text)
+
+
+@pytest.mark.parametrize(
+    "text", ["0", "12:30.mp4", "/dev/video0", "C:\\clips\\a.mp4", "c:/clips/a.mp4", "./http:x", "/a/http://x", "a.mp4"]
+)
+def test_files_and_numbers_are_not_addresses(text):
+    assert not is_address(text)
+
+
+def test_playlists_on_the_network_are_not_opened(tmp_path):
+    """No file name makes FFmpeg access the network."""
+    asked = []
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(0.0)
+        address = f"http://127.0.0.1:{server.getsockname()[1]}/a.ts"
+        hls = f"#EXTM3U\n#EXT-X-TARGETDURATION:5\n#EXTINF:5,\n{address}\n#EXT-X-ENDLIST\n"
+        for name, text in (("a.m3u8", hls), ("a.mp4", hls), ("a.ffconcat", f"ffconcat version 1.0\nfile {address}\n")):
+            (tmp_path / name).write_text(text)
+            with pytest.raises(SourceError):
+                list(VideoSource(tmp_path / name))
+            with contextlib.suppress(BlockingIOError):
+                asked.append(server.accept())
+    assert not asked

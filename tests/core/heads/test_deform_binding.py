@@ -1,0 +1,386 @@
+"""Landmarks, regions and checks on unlabelled meshes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from facemime.core.deform.head_deformer import head_deformer
+from facemime.core.errors import HeadError
+from facemime.core.face.landmarks import (
+    INNER,
+    LOWER_LIDS,
+    MIRROR,
+    MOUTH_INNER_LOWER,
+    MOUTH_INNER_UPPER,
+    OUTER_EYE_CORNERS,
+    UPPER_LIDS,
+    from_ibug,
+)
+from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.heads.bind import MARKS, bind_landmarks
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.checks import check_head
+from facemime.core.heads.proposal import propose_regions
+from facemime.core.heads.regions import hold_landmarks, membership
+from facemime.core.heads.rig import built_in_head
+from facemime.core.mesh.kernels import Warp
+from facemime.core.mesh.surface import SurfaceGraph, lips_joined
+from lab.bench.heads import ict_people
+from lab.training.data import DATA, has_heads
+from tests.helpers.scans import scanned
+from tests.helpers.thorough import first_of
+
+HEAD = load_head()
+VERTICES = HEAD.vertices.astype(float)
+POINTS = VERTICES[HEAD.landmarks]
+UNIT = float(np.linalg.norm(np.subtract(*POINTS[OUTER_EYE_CORNERS])))
+
+
+def stylised() -> np.ndarray:
+    """The head with a wide skull, a long chin and large eyes."""
+    places = VERTICES.copy()
+    places[:, 0] *= 1.25
+    below = np.maximum(places[:, 1] - POINTS[from_ibug([33])[0], 1], 0.0)
+    places[:, 1] += 0.4 * below
+    for corner in ((36, 39), (42, 45)):
+        centre = POINTS[from_ibug(corner)].mean(axis=0) * [1.25, 1, 1]
+        reach = np.exp(-np.square(np.linalg.norm(places - centre, axis=1) / (0.25 * UNIT)))
+        places[:, :2] += 0.3 * reach[:, None] * (places - centre)[:, :2]
+    return places
+
+
+def mean_error(vertices: np.ndarray, found: np.ndarray) -> float:
+    """Mean distance from the true landmarks, in outer-eye distances."""
+    points = vertices[HEAD.landmarks]
+    unit = np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS]))
+    return float(np.linalg.norm(vertices[found] - points, axis=1).mean() / unit)
+
+
+def marks() -> dict[int, int]:
+    return {number: int(HEAD.landmarks[from_ibug([number])[0]]) for number in MARKS}
+
+
+def test_an_upright_head_of_any_size_and_place_is_bound_without_marks():
+    moved = VERTICES * 170.0 + [5.0, -30.0, 2.0]
+    binding = bind_landmarks(moved, HEAD.faces)
+    assert mean_error(moved, binding.landmarks) < 0.01
+    assert binding.symmetric and binding.residual < 0.01
+
+
+def test_a_stylised_head_is_bound_with_marks():
+    places = stylised()
+    binding = bind_landmarks(places, HEAD.faces, marks())
+    assert mean_error(places, binding.landmarks) < 0.06
+    for number, vertex in marks().items():
+        assert binding.landmarks[from_ibug([number])[0]] == vertex
+
+
+@pytest.mark.parametrize(
+    "angles",
+    first_of(
+        [(0, 180, 0), (90, 0, 0), (0, 0, -90), (-90, 0, 0), (0, 90, 0), (0, -90, 0), (0, 0, 180), (0, 0, 90)], quick=2
+    ),
+)
+def test_a_head_that_faces_along_any_axis_is_found_without_marks(angles):
+    turn = euler_to_matrix(*np.radians(angles))
+    binding = bind_landmarks(VERTICES @ turn.T, HEAD.faces)
+    assert mean_error(VERTICES, binding.landmarks) < 0.01
+    assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
+
+
+def test_a_stylised_head_is_bound_without_marks():
+    binding = bind_landmarks(stylised(), HEAD.faces)
+    assert mean_error(stylised(), binding.landmarks) < 0.06
+    assert binding.strain > 0.03
+
+
+def test_eyes_and_mouth_of_a_scan_that_has_no_openings_are_found():
+    places, faces = scanned()
+    found = places[bind_landmarks(places, faces).landmarks]
+    assert np.linalg.norm((found - POINTS)[INNER, :2], axis=1).mean() < 0.05 * UNIT
+
+
+def with_a_body() -> tuple[np.ndarray, np.ndarray]:
+    """The head on a body with outstretched arms, as tall as an adult."""
+    tall = 5.5 * float(np.ptp(VERTICES[:, 1]))
+    neck = VERTICES[:, 1].max()
+    around, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False), np.linspace(0.0, 1.0, 50))
+    cross = np.stack([np.cos(around), np.sin(around)], axis=-1)
+    trunk = np.stack([2.0 * UNIT * cross[..., 0], neck + tall * along, 1.2 * UNIT * cross[..., 1]], axis=-1)
+    arms = np.stack(
+        [9.0 * UNIT * (2.0 * along - 1.0), neck + UNIT * (1.0 + 0.5 * cross[..., 0]), trunk[..., 2] / 2], -1
+    )
+    number = np.arange(trunk[..., 0].size).reshape(along.shape)
+    after = np.roll(number, -1, axis=1)
+    tube = np.stack([number[:-1], number[1:], after[1:], after[:-1]], axis=-1).reshape(-1, 4)
+    parts = [VERTICES, trunk.reshape(-1, 3), arms.reshape(-1, 3)]
+    faces = [HEAD.faces[:, :4], tube + len(VERTICES), tube + len(VERTICES) + number.size]
+    return np.concatenate(parts), np.concatenate(faces)
+
+
+def test_the_head_of_a_whole_body_is_found_with_and_without_marks():
+    places, faces = with_a_body()
+    for picked in (None, marks()):
+        binding = bind_landmarks(places, faces, picked)
+        assert binding.body and mean_error(places, binding.landmarks) < 0.02
+    assert not bind_landmarks(VERTICES, HEAD.faces).body
+
+
+def with_closed_lips() -> tuple[np.ndarray, np.ndarray]:
+    """The head with a mouth cavity behind lips that touch, as on heads made for animation."""
+    places = VERTICES.copy()
+    for upper, lower in zip(MOUTH_INNER_UPPER, MOUTH_INNER_LOWER[::-1], strict=True):
+        a, b = HEAD.landmarks[[upper, lower]]
+        places[[a, b]] = places[[a, b]].mean(axis=0)
+    lips = POINTS[MOUTH_INNER_UPPER].mean(axis=0)
+    openings = SurfaceGraph(places, HEAD.faces).openings()
+    mouth = min(openings, key=lambda rim: float(np.linalg.norm(places[rim].mean(axis=0) - lips)))
+    rows = np.isin(HEAD.faces, mouth)
+    back = len(places)
+    fans = []
+    for face, touched in zip(HEAD.faces, rows, strict=True):
+        corners = [int(v) for v in face if v >= 0]
+        for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+            if {a, b} <= set(mouth.tolist()) and touched.sum() >= 2:
+                fans.append([b, a, back, -1])
+    behind = places[mouth].mean(axis=0) + [0.0, 0.0, 0.6 * UNIT]
+    return np.concatenate([places, behind[None]]), np.concatenate([HEAD.faces[:, :4], np.array(fans)])
+
+
+def test_each_inner_landmark_of_closed_lips_is_bound_to_its_own_lip():
+    places, faces = with_closed_lips()
+    graph = SurfaceGraph(places, faces)
+    landmarks = bind_landmarks(places, faces).landmarks
+    assert not lips_joined(graph, landmarks)
+    upper, lower = (graph.path_lengths(landmarks[from_ibug(rim)].tolist()) for rim in (range(49, 54), range(55, 60)))
+    assert (upper < lower)[landmarks[MOUTH_INNER_UPPER]].all()
+    assert (lower < upper)[landmarks[MOUTH_INNER_LOWER]].all()
+
+
+def test_a_body_that_lies_on_its_back_is_turned_upright():
+    places, faces = with_a_body()
+    turn = euler_to_matrix(np.pi / 2.0, 0.0, 0.0)
+    binding = bind_landmarks(places @ turn.T, faces)
+    assert mean_error(places, binding.landmarks) < 0.02
+    assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
+
+
+def test_marks_determine_the_rotation_of_a_mesh():
+    turn = euler_to_matrix(1.1, -0.6, 2.0)
+    binding = bind_landmarks(VERTICES @ turn.T, HEAD.faces, marks())
+    assert mean_error(VERTICES, binding.landmarks) < 0.02
+    assert np.abs(binding.rotation @ turn - np.eye(3)).max() < 0.05
+
+
+def test_landmarks_of_a_symmetric_mesh_are_symmetric_and_all_different():
+    binding = bind_landmarks(VERTICES, HEAD.faces)
+    found = VERTICES[binding.landmarks]
+    np.testing.assert_allclose(found[MIRROR] * [-1, 1, 1], found, atol=1e-3 * UNIT)
+    assert len(set(binding.landmarks.tolist())) == 66
+
+
+@pytest.mark.parametrize(
+    ("chosen", "message"),
+    [
+        ({36: 1, 45: 2}, "at least 4 points, or none; got 2"),
+        ({36: 0, 39: 1, 42: 2, 45: 99_999}, "not a vertex of the mesh"),
+    ],
+)
+def test_insufficient_marks_are_refused(chosen, message):
+    with pytest.raises(HeadError, match=message):
+        bind_landmarks(VERTICES, HEAD.faces, chosen)
+
+
+def test_proposed_regions_separate_lids_and_lips_and_exclude_the_skull():
+    regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
+    assert regions.min() >= 0.0 and regions.sum(axis=0).max() <= 1.0 + 1e-6
+    of_landmarks = regions[:, HEAD.landmarks]
+    for row, numbers in ((0, (37, 38, 43, 44)), (1, (40, 41, 46, 47, 61, 62, 63)), (2, (65, 66, 67, 57))):
+        assert of_landmarks[row, from_ibug(numbers)].min() > 0.95
+    assert not regions[:, VERTICES[:, 1].argmin()].any()
+
+
+def test_proposed_regions_nearly_agree_with_those_of_the_built_in_head():
+    regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
+    both = (HEAD.regions.sum(axis=0) > 0.9) & (regions.sum(axis=0) > 0.9)
+    assert (regions.argmax(axis=0) == HEAD.regions.argmax(axis=0))[both].mean() > 0.96
+
+
+def test_proposed_regions_separate_the_walls_of_the_mouth_up_to_its_corners():
+    lips = POINTS[from_ibug([*range(48, 60), 61, 62, 63, 65, 66, 67])]
+    right, left = POINTS[from_ibug((48, 54)), 0]
+    beside = (VERTICES[:, 0] > right) & (VERTICES[:, 0] < left) & (np.abs(VERTICES[:, 0]) > 0.7 * left)
+    near = beside & (np.linalg.norm(VERTICES[:, None] - lips, axis=2).min(axis=1) < 0.15 * UNIT)
+    regions = propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)
+    assert np.abs(regions - HEAD.regions)[:, near].max(axis=0).mean() < 0.1
+
+
+def test_a_valid_head_has_no_findings():
+    assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+
+
+def test_the_check_reports_problems_and_remedies():
+    twins = HEAD.landmarks.copy()
+    twins[0] = twins[1]
+    weights = HEAD.regions.copy()
+    weights[:, HEAD.landmarks[from_ibug([30])]] = 0.0
+    assert "Landmarks 30 lie in no region" in check_head(VERTICES, HEAD.faces, HEAD.landmarks, weights)[0].problem
+    weights[2] = 0.0
+    findings = check_head(VERTICES, HEAD.faces, twins, weights)
+    told = " ".join(finding.problem for finding in findings)
+    assert "Landmarks 0, 1 share vertices" in told and "The region lower is empty" in told
+    assert all(finding.remedy.endswith(".") for finding in findings)
+
+
+def test_landmarks_whose_weight_fades_out_are_found():
+    weights = HEAD.regions.copy()
+    weights[:, HEAD.landmarks[from_ibug([4])]] *= 0.34
+    findings = check_head(VERTICES, HEAD.faces, HEAD.landmarks, weights)
+    assert [finding.problem for finding in findings] == ["Landmarks 4 are moved only partly by their regions."]
+    assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, hold_landmarks(weights, VERTICES, HEAD.landmarks)) == []
+
+
+@pytest.mark.parametrize("weights", [HEAD.regions, propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)])
+def test_the_vertex_of_each_landmark_follows_it_exactly(weights):
+    rig = replace(built_in_head(), region_weights=weights)
+    opened = HEAD.units[HEAD.unit_names.index("jawOpen")][HEAD.landmarks].astype(float)
+    deformer = head_deformer(rig, "gaussian", exact=True)
+    found = (deformer.deform(opened) - deformer.rest)[HEAD.landmarks]
+    np.testing.assert_allclose(found, opened, atol=1e-6)
+    np.testing.assert_allclose((weights[:, HEAD.landmarks] * ~membership()).sum(axis=0), 0.0, atol=1e-6)
+
+
+def test_holding_landmarks_changes_only_nearby_weights_and_keeps_them_in_bounds():
+    weights = np.array(HEAD.regions, dtype=float)
+    weights[:, HEAD.landmarks[from_ibug([3, 4, 5])]] *= 0.1
+    held = hold_landmarks(weights, VERTICES, HEAD.landmarks)
+    away = np.linalg.norm(VERTICES[:, None] - VERTICES[HEAD.landmarks[from_ibug([3, 4, 5])]], axis=2).min(axis=1)
+    assert held.min() >= 0.0 and held.sum(axis=0).max() <= 1.0 + 1e-9
+    np.testing.assert_allclose(held[:, away > UNIT], weights[:, away > UNIT], atol=0.05)
+    unheld = hold_landmarks(weights, VERTICES, HEAD.landmarks, np.zeros(66, dtype=bool))
+    np.testing.assert_allclose(unheld, weights, atol=1e-6)
+
+
+def test_joined_lips_are_found():
+    upper, lower = HEAD.landmarks[from_ibug([62, 66])]
+    nearest = HEAD.faces[(HEAD.faces == upper).any(axis=1)][0]
+    bridge = np.array([[upper, lower, int(nearest[nearest != upper][0]), -1]])
+    findings = check_head(VERTICES, np.concatenate([HEAD.faces, bridge]), HEAD.landmarks, HEAD.regions)
+    assert [finding.problem for finding in findings] == ["The lips are joined, so the mouth cannot open."]
+
+
+LIDS_MISPLACED = "The landmarks of the lids seem to lie on a brow or on lashes."
+
+
+def bound_to(numbers: list[int], places: np.ndarray) -> np.ndarray:
+    """Landmarks of the head, with those of iBUG `numbers` bound to the free vertices nearest to `places` (N, 3)."""
+    landmarks = HEAD.landmarks.copy()
+    for landmark, place in zip(from_ibug(numbers), places, strict=True):
+        away = np.linalg.norm(VERTICES - place, axis=1)
+        away[landmarks] = np.inf
+        landmarks[landmark] = int(np.argmin(away))
+    return landmarks
+
+
+@pytest.mark.parametrize(
+    ("numbers", "brow", "up"),
+    [
+        ([37, 38], [18, 19], 0.0),
+        ([43, 44], [24, 25], 0.0),
+        ([37, 38], [18, 19], 0.1),
+        ([37, 38, 40, 41], [18, 19, 19, 18], 0.0),
+        ([36, 37, 38, 39, 40, 41], [17, 18, 19, 21, 20, 18], 0.0),
+        ([44], [24], 0.0),
+    ],
+)
+def test_lids_bound_to_a_brow_are_found(numbers, brow, up):
+    places = POINTS[from_ibug(brow)] - [0.0, up * UNIT, 0.0]
+    landmarks = bound_to(numbers, places)
+    findings = check_head(VERTICES, HEAD.faces, landmarks, HEAD.regions)
+    assert LIDS_MISPLACED in [finding.problem for finding in findings]
+    assert "open_eyes" not in [finding.step for finding in findings]
+
+
+def test_lids_bound_to_lashes_or_to_each_other_or_corners_above_each_other_are_found():
+    eye = from_ibug((42, 45))
+    width = np.linalg.norm(np.subtract(*POINTS[eye]))
+    lashes, swapped, upright = VERTICES.copy(), HEAD.landmarks.copy(), VERTICES.copy()
+    lashes[HEAD.landmarks[from_ibug((43, 44))]] += width * np.array([0.0, -0.2, -0.45])
+    lids = from_ibug((43, 44, 46, 47))
+    swapped[lids] = swapped[lids[[3, 2, 1, 0]]]
+    upright[HEAD.landmarks[eye[0]]] = POINTS[eye[1]] - [0.0, width, 0.0]
+    for vertices, landmarks in ((lashes, HEAD.landmarks), (VERTICES, swapped), (upright, HEAD.landmarks)):
+        findings = check_head(vertices, HEAD.faces, landmarks, HEAD.regions)
+        assert findings[-1].problem == LIDS_MISPLACED
+
+
+@pytest.mark.parametrize("opening", [0.0, 0.5, 2.0])
+def test_shut_narrow_and_wide_eyes_are_not_misplaced_lids(opening):
+    places = VERTICES.copy()
+    upper, lower = HEAD.landmarks[UPPER_LIDS], HEAD.landmarks[LOWER_LIDS]
+    middle, half = (places[upper] + places[lower]) / 2.0, (places[upper] - places[lower]) / 2.0
+    places[upper], places[lower] = middle + opening * half, middle - opening * half
+    assert check_head(places, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+    assert check_head(stylised(), HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not has_heads(DATA), reason="the people of ../shared/data are not here")
+def test_no_person_has_misplaced_lids():
+    for person in ict_people(DATA, 6):
+        bound = bind_landmarks(person.vertices, person.faces)
+        upright = person.vertices @ bound.rotation.T
+        weights = propose_regions(upright, person.faces, bound.landmarks)
+        findings = check_head(upright, person.faces, bound.landmarks, weights)
+        assert LIDS_MISPLACED not in [finding.problem for finding in findings], person.title
+
+
+def test_paths_along_a_strip_go_around_its_slit():
+    # two rows of squares, joined at the left end only
+    x = np.arange(6.0)
+    top, bottom = np.stack([x, 0 * x, 0 * x], 1), np.stack([x, 0.1 + 0 * x, 0 * x], 1)
+    outer_top, outer_bottom = top - [0, 1, 0], bottom + [0, 1, 0]
+    vertices = np.concatenate([outer_top, top, bottom, outer_bottom])
+    quads = [[r * 6 + i, r * 6 + i + 1, (r + 1) * 6 + i + 1, (r + 1) * 6 + i] for r in (0, 2) for i in range(5)]
+    quads.append([6, 12, 12, 6])
+    graph = SurfaceGraph(vertices, np.array(quads))
+    assert graph.path_lengths([11])[17] == pytest.approx(10.1)
+    assert graph.path(11, 17) == [*range(11, 5, -1), *range(12, 18)]
+    assert np.isinf(graph.path_lengths([11], limit=3.0)[17])
+
+
+def test_a_warp_meets_its_points_and_reproduces_affine_maps():
+    rng = np.random.default_rng(0)
+    source, elsewhere = rng.normal(size=(20, 3)), rng.normal(size=(50, 3))
+    matrix, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
+    warp = Warp(source, source @ matrix + shift, smoothing=0.0)
+    np.testing.assert_allclose(warp(elsewhere), elsewhere @ matrix + shift, atol=1e-8)
+    bent = source + rng.normal(0.0, 0.1, source.shape)
+    np.testing.assert_allclose(Warp(source, bent, smoothing=0.0)(source), bent, atol=1e-8)
+
+
+def test_a_warp_between_coplanar_points_is_refused():
+    flat = np.random.default_rng(0).normal(size=(20, 3)) * [1, 1, 0]
+    with pytest.raises(HeadError, match="lie in one plane"):
+        Warp(flat, flat, smoothing=0.0)
+
+
+@pytest.mark.thorough
+@settings(max_examples=40, derandomize=True)
+@given(st.data())
+def test_a_mesh_without_a_face_is_refused_or_bound_to_its_own_vertices(data):
+    count = data.draw(st.integers(1, 300))
+    rng = np.random.default_rng(data.draw(st.integers(0, 10**6)))
+    points = rng.normal(size=(count, 3)) * [10.0 ** data.draw(st.integers(-6, 6)) for _ in range(3)]
+    points[:, data.draw(st.integers(0, 2))] *= data.draw(st.sampled_from((0.0, 1.0, 1e6)))
+    points[: data.draw(st.integers(0, count))] = points[0]
+    faces = rng.integers(0, count, (data.draw(st.integers(0, 200)), 3))
+    try:
+        found = bind_landmarks(points, faces).landmarks
+    except HeadError as error:
+        assert str(error).endswith(".")
+    else:
+        assert found.shape == (66,) and found.min() >= 0 and found.max() < count
