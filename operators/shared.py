@@ -144,7 +144,7 @@ def subject(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def required_subject(context: bpy.types.Context) -> bpy.types.Object:
-    """Return the object as `subject` does; HeadError if there is none, which `poll` rules out."""
+    """Return the object as `subject` does; HeadError if there is none, though `poll` rules that out."""
     return object_of(subject(context))
 
 

@@ -126,7 +126,7 @@ class EyeDriver:
         if not np.isfinite(self._straight).all():
             return np.tile(gaze_at_viewer(head), (2, 1, 1))
         if np.isfinite(gaze).all():
-            # Relative to the usual gaze, as the performer looks at the screen and the camera stands above it.
+            # Relative to the usual gaze, as the performer looks at the screen, and not into the camera.
             self._last = gaze - self._straight
         if np.isfinite(vergence - self._parallel):
             crossed = vergence - self._parallel

@@ -223,7 +223,7 @@ def lids_seen(
         Vertices of the skin in the order of `EYES`; None if the eye is shut or hidden.
     """
     look = _look(skin, skin_faces, eye, eye_faces)
-    # Glints, tear ducts and parts of the eye that shine through the cheek are smaller than the visible eye.
+    # Where else an eyeball is seen, as through a gap of the mesh, is smaller than the eye between its lids.
     mask = _largest(look.owner >= look.skin)
     if mask is None or np.ptp(np.nonzero(mask)[1]) < _MIN_WIDTH * look.size:
         return None

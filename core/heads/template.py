@@ -152,7 +152,7 @@ def rough_poses(template: Template, surface: Surface) -> list[tuple[float, Pose]
     for scale in _SCALES:
         size = scale * float(high[0] - low[0]) / 2.0
         # The face, which is nearest to the viewer (smallest z), starts at the depth of the mesh's front; a percentile
-        # instead of the minimum, as a hat's brim or a strand of hair is farther in front.
+        # instead of the minimum, so that a few vertices that stick out do not count.
         depth = float(np.percentile(surface.places[:, 2], 0.5)) - size * float(
             template.places[template.skin[::2], 2].min()
         )

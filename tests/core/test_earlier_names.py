@@ -6,6 +6,7 @@ from importlib import import_module
 
 import pytest
 
+import facemime.blender  # noqa: F401 - adds its own earlier names
 from facemime.core.earlier_names import EarlierNames
 
 FINDERS = [finder for finder in sys.meta_path if isinstance(finder, EarlierNames)]
