@@ -21,6 +21,7 @@ from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import draw_before_after, mend
 from ..core.takes.mending_settings import BLEND, Mending
 from ..core.takes.neutral import calibrate
+from ..core.takes.openface import write_openface_csv
 from ..core.takes.recordings import SUFFIXES as RECORDINGS
 from ..core.takes.recordings import read_recording
 from ..core.takes.smooth import CUTOFFS
@@ -134,9 +135,10 @@ def add_commands(commands: Commands) -> None:
     add_output(export, "OUT.csv", "a table with one row per frame; takes.md lists the columns")
     export.add_argument(
         "--columns",
-        choices=("all", "coefficients", "livelink"),
+        choices=("all", "coefficients", "livelink", "openface"),
         default="all",
-        help="all data of the take; ARKit's coefficients by name; or these in the format of Live Link Face (all)",
+        help="all data of the take; ARKit's coefficients by name; these in the format of Live Link Face; or OpenFace's "
+        "action units (all)",
     )
     export.add_argument(
         "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
@@ -207,7 +209,7 @@ def _run_export(take: Path, output: Path, columns: str, rate: float) -> int:
     output : Path
         File for the table.
     columns : str
-        "all", "coefficients" or "livelink".
+        "all", "coefficients", "livelink" or "openface".
     rate : float
         Rate of the timecode, frames per second.
     """
@@ -216,24 +218,28 @@ def _run_export(take: Path, output: Path, columns: str, rate: float) -> int:
         if columns == "all":
             to_csv(loaded, output)
         else:
-            _export_coefficients(loaded, output, rate, live_link=columns == "livelink")
+            _export_coefficients(loaded, output, columns, rate)
     return 0
 
 
-def _export_coefficients(take: Take, output: Path, rate: float, *, live_link: bool) -> None:
+def _export_coefficients(take: Take, output: Path, columns: str, rate: float) -> None:
     if not 1.0 <= rate <= 200.0:
         raise FacemimeError("The rate of a timecode cannot be {rate:g}. Use one between 1 and 200.", rate=rate)
     neutral = calibrate(take)
     if neutral.warning:
         tell(f"facemime: {neutral.warning}")
+    values = arkit_coefficients(take, neutral)
+    if columns == "openface":
+        write_openface_csv(output, take, neutral, values)
+        return
     seen = take.part(take.found)
-    values = arkit_coefficients(seen, neutral)
     results = [seen.result(frame) for frame in range(len(seen))]
     turns = np.array([turned_from(result, neutral) for result in results])
     looks = [eyes_from(result, neutral) for result in results]
     eyes = [
         eyes_of_gaze(*gaze_of(row[LOOKS])) if look is None else look for look, row in zip(looks, values, strict=True)
     ]
+    live_link = columns == "livelink"
     write_coefficient_csv(output, seen.times, values, turns, np.array(eyes), live_link=live_link, rate=rate)
 
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+
 import numpy as np
 import pytest
 
 from facemime.core.errors import SourceError
+from facemime.core.face.landmarks import MOUTH_INNER_LOWER, from_ibug
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.heads.built_in import LOOKS, gaze_of
+from facemime.core.takes.face_space import load_face_space
+from facemime.core.takes.neutral import calibrate
+from facemime.core.takes.openface import write_openface_csv
 from facemime.core.takes.recordings import read_recording
 from tests.helpers.recordings import audio2face, face_cap, openface, unity
+from tests.helpers.takes import make_take
 
 OPEN = np.array([0.0, 0.25, 1.0, 0.5])
 """How far the jaw is open in each frame of a recording."""
@@ -88,6 +96,47 @@ def test_a_head_that_turns_while_its_eyes_stay_on_the_camera_looks_the_other_way
     assert column(take, "eyeLookUpLeft")[2] > 0.3
     assert column(take, "eyeLookOutLeft")[3] > 0.1 and column(take, "eyeLookDownRight")[4] > 0.1
     assert np.abs([column(take, f"eyeLook{way}Left")[0] for way in ("In", "Out", "Up", "Down")]).max() < 1e-6
+
+
+def performed(frames):
+    """A take of a made-up face whose head turns and whose eyes look around, its neutral face, and coefficients."""
+    rng = np.random.default_rng(3)
+    pose = np.column_stack([np.full(frames, 120.0), rng.uniform(-0.4, 0.4, (frames, 3)), np.full((frames, 2), 240.0)])
+    gaze = rng.uniform(-0.15, 0.15, (frames, 2))
+    take = make_take(np.tile(load_face_space().mean, (frames, 1, 1)), pose=pose, gaze=gaze)
+    return take, calibrate(take, 0.0), rng.uniform(0.0, 1.0, (frames, len(COEFFICIENTS)))
+
+
+def test_a_take_written_with_openface_s_columns_is_read_back(tmp_path):
+    take, neutral, coefficients = performed(30)
+    write_openface_csv(tmp_path / "units.csv", take, neutral, coefficients)
+    read = read_recording(tmp_path / "units.csv")
+    np.testing.assert_allclose(read.times, take.times, atol=1e-5)
+    for frame in range(len(take)):
+        turn = euler_to_matrix(*take.pose[0, 1:4]).T @ euler_to_matrix(*take.pose[frame, 1:4])
+        first = euler_to_matrix(*read.pose[0, 1:4]).T @ euler_to_matrix(*read.pose[frame, 1:4])
+        np.testing.assert_allclose(first, turn, atol=1e-4)
+    smiles = [COEFFICIENT_INDEX[f"mouthSmile{side}"] for side in ("Left", "Right")]
+    for side in smiles:  # action units do not tell left from right
+        np.testing.assert_allclose(read.coefficients[:, side], coefficients[:, smiles].mean(axis=1), atol=1e-5)
+    seen = np.array([gaze_of(row[LOOKS])[0] for row in read.coefficients])
+    np.testing.assert_allclose(seen, take.gaze, atol=0.01)
+
+
+def test_a_table_with_openface_s_columns_states_landmarks_gaze_presence_and_doubt(tmp_path):
+    take, neutral, coefficients = performed(12)
+    take.found[3] = False
+    take.shape[5, MOUTH_INNER_LOWER, 1] += 0.35
+    take.pose[0, 1:4] = take.gaze[0] = 0.0
+    write_openface_csv(tmp_path / "units.csv", take, neutral, coefficients[take.found])
+    rows = list(csv.DictReader((tmp_path / "units.csv").open(encoding="utf-8")))
+    table = {title: np.array([float(row[title]) for row in rows]) for title in rows[0]}
+    assert table["success"].tolist() == [1.0] * 3 + [0.0] + [1.0] * 8
+    np.testing.assert_allclose(table["x_36"][0], take.landmarks[0, from_ibug([36])[0], 0], rtol=1e-5)
+    assert table["AU25_r"][5] == pytest.approx(5.0) and table["AU25_c"][5] == 1.0 and table["AU25_r"][4] == 0.0
+    np.testing.assert_allclose([table[f"gaze_0_{axis}"][0] for axis in "xyz"], (0.0, 0.0, -1.0), atol=1e-6)
+    assert table["AU12_doubt"][3] == 1.0
+    assert all(table[title].min() >= 0.0 and table[title].max() <= 5.0 for title in table if title.startswith("AU"))
 
 
 def test_only_the_first_of_openface_s_faces_is_read(file):
