@@ -73,12 +73,14 @@ _CROSSED = np.radians(40.0)
 """Largest vergence beyond that, in radians."""
 _LASTING = 5
 """Number of frames for which eyes have to be crossed, as a misplaced pupil comes and goes."""
-_LIMIT = np.radians((7.0, 22.0))
-"""Limits of pitch and yaw in radians. Pitch is small, as the lids, which follow the performer's, would hide the
-iris."""
+_AT_VIEWER = np.radians((7.0, 22.0))
+"""Limits of pitch and yaw in radians of eyes that stay on the viewer. Pitch is small, as no lids follow it, which would
+hide the iris."""
+_ASIDE = np.radians(22.0)
+"""Yaw in radians at which the travel of an iris is judged."""
 _TRAVEL = 0.5
-"""Distance that an iris may move between straight ahead and the limit of yaw, relative to half the width of its eye. It
-is 0.3 for the built-in head, and 0.4 to 0.5 for realistic characters."""
+"""Distance that an iris may move between straight ahead and that yaw, relative to half the width of its eye. It is 0.3
+for the built-in head, and 0.4 to 0.5 for realistic characters."""
 
 
 class EyeDriver:
@@ -121,7 +123,7 @@ class EyeDriver:
         Returns
         -------
         (2, 3, 3) float64
-            Rotations of the right and left eyeball, within the limits.
+            Rotations of the right and left eyeball.
         """
         if not np.isfinite(self._straight).all():
             return np.tile(gaze_at_viewer(head), (2, 1, 1))
@@ -134,11 +136,11 @@ class EyeDriver:
         # Eyes are crossed by what all of the last frames agree on: the least of positive values, or of negative ones.
         least, most = min(self._crossed), max(self._crossed)
         aside = np.array([0.0, 0.5 * (max(least, 0.0) + min(most, 0.0))])
-        return np.stack([_rotation_within_limits(self._last - aside), _rotation_within_limits(self._last + aside)])
+        return np.stack([_rotation(self._last - aside), _rotation(self._last + aside)])
 
 
 def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
-    """Compute the rotations of eyes whose direction was measured rather than tracked, without limits or delay.
+    """Compute the rotations of eyes whose direction was measured rather than tracked, without delay.
 
     Parameters
     ----------
@@ -152,9 +154,8 @@ def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
     (2, 3, 3) float64
         Rotations of the right and left eyeball.
     """
-    aside = 0.5 * float(np.nan_to_num(vergence))
-    pitch, yaw = (float(angle) for angle in np.nan_to_num(gaze))
-    return np.stack([euler_to_matrix(pitch, yaw - aside, 0.0), euler_to_matrix(pitch, yaw + aside, 0.0)])
+    aside = np.array([0.0, 0.5 * float(np.nan_to_num(vergence))])
+    return np.stack([_rotation(np.nan_to_num(gaze) - aside), _rotation(np.nan_to_num(gaze) + aside)])
 
 
 def eye_strength(pivot: FloatArray, corners: FloatArray) -> float:
@@ -177,22 +178,21 @@ def eye_strength(pivot: FloatArray, corners: FloatArray) -> float:
     """
     half_width = 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
     # A point at distance d from the pivot moves by d sin(yaw).
-    moved = float(np.linalg.norm(corners.mean(axis=0) - pivot)) * float(np.sin(_LIMIT[1]))
+    moved = float(np.linalg.norm(corners.mean(axis=0) - pivot)) * float(np.sin(_ASIDE))
     return min(1.0, _TRAVEL * half_width / moved) if moved > 0.0 else 1.0
 
 
 def gaze_at_viewer(head: FloatArray) -> FloatArray:
-    """Return the rotation of the eyes, within the limits, that keeps them on the viewer for a head's rotation (3, 3).
+    """Return the rotation of the eyes, within limits, that keeps them on the viewer for a head's rotation (3, 3).
 
     People mostly look at the screen in front of them, and fixed eyes look dead.
     """
-    pitch, yaw, _ = matrix_to_euler(head.T)
-    return _rotation_within_limits(np.array([pitch, yaw]))
+    return _rotation(np.clip(matrix_to_euler(head.T)[:2], -_AT_VIEWER, _AT_VIEWER))
 
 
-def _rotation_within_limits(angles: FloatArray) -> FloatArray:
-    pitch, yaw = (float(angle) for angle in np.clip(angles, -_LIMIT, _LIMIT))
-    return euler_to_matrix(pitch, yaw, 0.0)
+def _rotation(gaze: FloatArray) -> FloatArray:
+    """Rotation (3, 3) of an eye by `(pitch, yaw)`."""
+    return euler_to_matrix(float(gaze[0]), float(gaze[1]), 0.0)
 
 
 class Jaw:

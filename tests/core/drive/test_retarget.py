@@ -1,15 +1,18 @@
 """Calibration, retargeting, and driving of heads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.posing import _LASTING, _LIMIT, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
-from facemime.core.drive.retarget import _WIDENING_GAIN, Retargeter
+from facemime.core.drive.posing import _ASIDE, _LASTING, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
+from facemime.core.drive.retarget import Retargeter
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug, lid_gaps
+from facemime.core.face.landmarks import LIPS, LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS, from_ibug, lid_gaps
 from facemime.core.face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import EyeballContact
@@ -127,15 +130,26 @@ def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(ri
     assert calibrate(make_take(shapes[:50]), start=0.0).shut == 0.0
 
 
-def test_eyes_that_open_wider_than_at_rest_are_compensated_and_shut_ones_are_not(rig):
+def test_eyes_that_open_wide_or_shut_are_shown_as_tracked(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     wide, shut = face.copy(), face.copy()
     wide[UPPER_LIDS, 1] -= 0.03
     shut[UPPER_LIDS, 1] = face[LOWER_LIDS, 1]
     plain, more = (Retargeter(face, points, compensate=compensate) for compensate in (False, True))
-    lifted = more.displacements(wide)[UPPER_LIDS, 1] / plain.displacements(wide)[UPPER_LIDS, 1]
-    np.testing.assert_allclose(lifted, _WIDENING_GAIN, atol=0.02)
-    np.testing.assert_allclose(more.displacements(shut)[UPPER_LIDS], plain.displacements(shut)[UPPER_LIDS], atol=1e-5)
+    for shape in (wide, shut):
+        np.testing.assert_allclose(
+            more.displacements(shape)[UPPER_LIDS], plain.displacements(shape)[UPPER_LIDS], atol=1e-5
+        )
+
+
+@given(st.floats(-0.15, 0.15), st.floats(0.5, 2.0), st.booleans())
+def test_shut_lips_that_move_together_stay_shut(away, stretched, compensate):
+    rig = built_in_head()
+    face, points = performer(rig), rig.vertices[rig.landmarks] * (1.0, stretched, 1.0)
+    current = face.copy()
+    current[LIPS, 1] += away
+    moved = Retargeter(face, points, compensate=compensate).displacements(current)
+    np.testing.assert_allclose(moved[LOWER_LIPS, 1], moved[UPPER_LIPS, 1], atol=1e-6)
 
 
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
@@ -262,12 +276,21 @@ def test_a_pupil_that_is_misplaced_in_one_frame_does_not_cross_the_eyes():
             np.testing.assert_array_equal(eye, np.eye(3))
 
 
-def test_eyes_turn_within_their_limits_and_stay_while_shut():
+def test_eyes_turn_as_far_as_the_performers_and_stay_while_shut():
     eyes = EyeDriver(np.zeros(2))
-    far = eyes.rotations(np.array([1.0, -1.0]), np.nan, np.eye(3))
+    far = eyes.rotations(np.array([0.4, -0.5]), np.nan, np.eye(3))
     for eye in far:
-        np.testing.assert_allclose(matrix_to_euler(eye), np.radians([7.0, -22.0, 0.0]), atol=1e-9)
+        np.testing.assert_allclose(matrix_to_euler(eye), (0.4, -0.5, 0.0), atol=1e-9)
     np.testing.assert_allclose(eyes.rotations(np.full(2, np.nan), np.nan, np.eye(3)), far)
+
+
+def test_the_eyes_of_a_head_turn_up_to_the_limit_of_the_settings(rig):
+    take = make_take(np.tile(performer(rig), (2, 1, 1)), gaze=np.array([(0.0, 0.0), (0.0, 1.0)]))
+    for limit in (0.2, 0.6):
+        settings = DriveSettings(posing=PosingSettings(eyes_limit=limit))
+        driver = HeadDriver(rig, replace(calibrate(take, start=0.0, duration=0.01), gaze=np.zeros(2)), settings)
+        for eye in driver.frame(take.result(1)).gaze:
+            np.testing.assert_allclose(matrix_to_euler(eye), (0.0, limit, 0.0), atol=1e-6)
 
 
 def test_without_a_known_gaze_eyes_stay_on_the_viewer(rig):
@@ -299,6 +322,6 @@ def test_an_eye_that_turns_about_a_far_point_turns_less_so_that_its_iris_stays_b
     middle, half_width = corners.mean(axis=0), 0.16
     assert eye_strength(middle + [0.0, 0.0, 0.13], corners) == 1.0
     far = eye_strength(middle + [0.1, 0.0, 0.5], corners)
-    moved = np.hypot(0.1, 0.5) * np.sin(far * _LIMIT[1])
+    moved = np.hypot(0.1, 0.5) * np.sin(far * _ASIDE)
     assert 0.45 * half_width < moved < 0.52 * half_width
     assert eye_strength(middle, corners) == 1.0
