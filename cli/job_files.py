@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 from ..core.errors import FacemimeError, Message, SourceError
 from ..core.files.capture import check_readable, require_file
 from ..core.files.writing import check_distinct, check_writable, claimed, free_name, settle
 from ..core.takes.file import SUFFIX, load_take
-from ..core.takes.from_video import track_video
+from ..core.takes.from_video import numbered, track_people, track_video
 from ..core.takes.take import Take
-from ..core.tracking.result import TrackResult
 from ..core.tracking.tracker import FaceTracker
 from ..core.tracking.tracking_settings import DEFAULTS, TrackingSettings
 from .console import Progress, tell
@@ -107,13 +107,8 @@ def track(
     require_file(video)
     tracker = FaceTracker.load(settings=settings)
     progress = Progress(f"Tracking {video.name}")
-
-    def on_frame(done: int, total: int, _: TrackResult) -> bool:
-        progress.update(done, total)
-        return not STOPPING.heard
-
     with STOPPING.noting():
-        track_video(video, tracker, on_frame, unfinished, face)
+        track_video(video, tracker, _telling(progress), unfinished, face)
     take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
     _tell_what_is_missing(video, take)
@@ -124,6 +119,56 @@ def track(
             video=video,
         )
     return take
+
+
+def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings = DEFAULTS) -> list[tuple[Path, Take]]:
+    """Track everybody in `video`, writing a take a person at the same time.
+
+    Parameters
+    ----------
+    unfinished : Path
+        Name of the files that grow while tracking, which are numbered.
+
+    Returns
+    -------
+    list of (Path, Take)
+        The takes and their files; those of people who were hardly seen are deleted.
+
+    Raises
+    ------
+    SourceError
+        If the video cannot be read, or no face was found in it.
+    """
+    require_file(video)
+    tracker = FaceTracker.load(settings=settings)
+    progress = Progress(f"Tracking {video.name}")
+    if (earlier := numbered(unfinished, 0)).exists():
+        tell(f"facemime: {earlier} is from an earlier run that did not finish; it is kept.")
+        unfinished = next(
+            name
+            for number in count(2)
+            if not numbered(name := unfinished.with_stem(f"{unfinished.stem}-{number}"), 0).exists()
+        )
+    with STOPPING.noting():
+        takes = track_people(video, tracker, _telling(progress), unfinished)
+    named = [(numbered(unfinished, take.info["person"] - 1), take) for take in takes]
+    kept = {path for path, _ in named}
+    for number in range(max(take.info["people"] for take in takes)):
+        if (path := numbered(unfinished, number)) not in kept:
+            path.unlink()
+    progress.finish(f"{len(takes)} people" if len(takes) != 1 else "1 person")
+    _tell_what_is_missing(video, takes[0])
+    return named
+
+
+def _telling(progress: Progress) -> Callable[[int, int, object], bool]:
+    """What shows the progress after each frame, and says whether to go on."""
+
+    def on_frame(done: int, total: int, _: object) -> bool:
+        progress.update(done, total)
+        return not STOPPING.heard
+
+    return on_frame
 
 
 def keep_interrupted(take: Take, unfinished: Path, kept: Path) -> int:

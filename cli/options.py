@@ -113,9 +113,9 @@ def add_output(parser: argparse.ArgumentParser, metavar: str, summary: str) -> N
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=summary)
 
 
-def add_face_option(parser: argparse.ArgumentParser) -> None:
+def add_face_option(group: argparse._ActionsContainer) -> None:
     """Add the option for the face to track if several are in view."""
-    parser.add_argument(
+    group.add_argument(
         "--face",
         type=face_of,
         metavar="left|right|X,Y",

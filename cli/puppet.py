@@ -9,8 +9,10 @@ from ..core.files.capture import require_utf8_name
 from ..core.files.writing import free_name, settle
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, save_take
+from ..core.takes.from_video import numbered
 from ..core.takes.smooth import smooth_take
 from ..core.tracking.tracking_settings import TrackingSettings
+from .console import tell
 from .job_files import (
     INTERRUPTED_NAME,
     growing,
@@ -20,6 +22,7 @@ from .job_files import (
     outputs_of,
     place_beside,
     track,
+    track_everybody,
     unfinished_beside,
 )
 from .options import (
@@ -42,10 +45,17 @@ def add_commands(commands: Commands) -> None:
     track.add_argument("video", type=Path, metavar="VIDEO", help="any video that FFmpeg reads, such as MP4 (H.264)")
     add_output(track, "TAKE.facetake", "the take, which can drive any head; written while tracking")
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
-    add_face_option(track)
+    which = track.add_mutually_exclusive_group()
+    add_face_option(which)
+    which.add_argument(
+        "--faces",
+        choices=("one", "all"),
+        default="one",
+        help="write one take, or a numbered one of everybody in the video, such as TAKE-1.facetake (one)",
+    )
     add_settings(track, TrackingSettings)
     track.set_defaults(
-        run=lambda given: _run_track(
+        run=lambda given: (_run_track_everybody if given["faces"] == "all" else _run_track)(
             given["video"],
             given["output"],
             given["face"],
@@ -96,6 +106,26 @@ def _run_track(
             return keep_interrupted(take, unfinished, place_beside(output, SUFFIX))
         settle(unfinished, output)
     return 0
+
+
+def _run_track_everybody(
+    video: Path, output: Path, _: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
+) -> int:
+    """Run `facemime track --faces all`: write a take of everybody; returns the exit status."""
+    unfinished = unfinished_beside(output)
+    with outputs_of(((output, {SUFFIX}),), {"the video that is tracked": video}, unfinished):
+        takes = track_everybody(video, unfinished, settings)
+        status = 0
+        for number, (grown, take) in enumerate(takes):
+            if smooth:
+                save_take(smooth_take(take), grown)
+            own = numbered(output, number)
+            if take.info.get("interrupted"):
+                status = keep_interrupted(take, grown, place_beside(own, SUFFIX))
+                continue
+            settle(grown, own)
+            tell(f"{own}: a face in {int(take.found.sum())} of {len(take)} frames")
+    return status
 
 
 def run_puppet(job: PuppetJob) -> int:

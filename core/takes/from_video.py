@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
-from ..errors import Message
+from ..errors import Message, SourceError
 from ..files.capture import VideoSource
+from ..files.closing import Closing
 from ..files.media_headers import last_image
+from ..tracking.people import PeopleTracker
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter
 from .take import Take, TakeRecorder, describe
 
 OnFrame = Callable[[int, int, TrackResult], bool | None]
+OnFaces = Callable[[int, int, int], bool | None]
+_SHORTEST = 0.5
+"""Seconds for which somebody has to be seen to get a take of their own."""
 _COMPLETE = 0.9
 """Share of the stated frames, or of the stated duration, from which on a video is complete: headers are inexact."""
 VIDEO_CUT = "The video was cut or damaged. Missing: {missing}."
@@ -68,8 +74,7 @@ def track_video(
     tracker = FaceTracker.load() if tracker is None else tracker
     with ExitStack() as stack:
         source = stack.enter_context(VideoSource(Path(path)))
-        recorder = TakeRecorder({})
-        writer = None if output is None else stack.enter_context(TakeWriter(output, {}))
+        recorder = stack.enter_context(_Recorder({}, output))
         tracker.reset()
         if face is not None:
             tracker.choose(*face)
@@ -77,25 +82,145 @@ def track_video(
             for frame in source:
                 if len(recorder) == 0:
                     height, width = frame.image.shape[:2]
-                    recorder.info.update(describe(source.path.name, source.fps, (width, height), tracker.model_id))
-                    if writer is not None:
-                        writer.info = recorder.info
+                    recorder.note(**describe(source.path.name, source.fps, (width, height), tracker.model_id))
                 result = tracker.track(frame.image)
                 recorder.append(frame.time, result)
-                if writer is not None:
-                    writer.append(frame.time, result)
                 if on_frame is not None and on_frame(len(recorder), source.frame_count, result) is False:
-                    recorder.info["interrupted"] = True
+                    recorder.note(interrupted=True)
                     break
             else:
                 if (lost := _lost_after(source, len(recorder), frame.time)) > 0.0:
                     missing = f"{lost:.2f} s after {frame.time:.2f} s"
-                    recorder.info["recovered"] = Message(VIDEO_CUT, missing=missing)
+                    recorder.note(recovered=Message(VIDEO_CUT, missing=missing))
         except KeyboardInterrupt:
             if len(recorder) == 0:
                 raise
-            recorder.info["interrupted"] = True
+            recorder.note(interrupted=True)
         return recorder.finish()
+
+
+def track_people(
+    path: str | PathLike[str],
+    tracker: FaceTracker | None = None,
+    on_frame: OnFaces | None = None,
+    output: Path | None = None,
+) -> list[Take]:
+    """Track everybody in a video.
+
+    Parameters
+    ----------
+    path : path-like
+        The video.
+    tracker : FaceTracker, optional
+        Finds and fits the faces; by default a new one with the shipped model.
+    on_frame : callable, optional
+        Called after each frame with the number of frames done, the number stated by the file, and the number of faces
+        in view. Returning False stops.
+    output : Path, optional
+        Name of the takes to write while tracking; that of each person is `numbered`, and must not exist.
+
+    Returns
+    -------
+    list of Take
+        A take of each person who was seen for half a second, in order of appearance; of the longest one if nobody was.
+        All have all frames of the video, and no face where the person is out of view.
+
+    Raises
+    ------
+    SourceError
+        If the video cannot be read, or no face was found.
+    OutputError
+        If a take cannot be written.
+    """
+    people = PeopleTracker(FaceTracker.load() if tracker is None else tracker)
+    with ExitStack() as stack:
+        source = stack.enter_context(VideoSource(Path(path)))
+        recorders: list[_Recorder] = []
+        times: list[float] = []
+        info: dict[str, Any] = {}
+        nothing = TrackResult.nothing(people.n_modes)
+        try:
+            for frame in source:
+                if not times:
+                    height, width = frame.image.shape[:2]
+                    info = describe(source.path.name, source.fps, (width, height), people.model_id)
+                results = people.track(frame.image)
+                for number in range(len(recorders), max(results, default=-1) + 1):
+                    own = None if output is None else numbered(output, number)
+                    recorders.append(stack.enter_context(_Recorder({**info, "person": number + 1}, own)))
+                    for time in times:
+                        recorders[-1].append(time, nothing)
+                times.append(frame.time)
+                for number, recorder in enumerate(recorders):
+                    recorder.append(frame.time, results.get(number, nothing))
+                if on_frame is not None and on_frame(len(times), source.frame_count, len(results)) is False:
+                    _note(recorders, interrupted=True)
+                    break
+            else:
+                if (lost := _lost_after(source, len(times), frame.time)) > 0.0:
+                    missing = f"{lost:.2f} s after {frame.time:.2f} s"
+                    _note(recorders, recovered=Message(VIDEO_CUT, missing=missing))
+        except KeyboardInterrupt:
+            if not recorders:
+                raise
+            _note(recorders, interrupted=True)
+        if not recorders:
+            raise SourceError(
+                "No face was found in any frame. Use a video with one face, well lit and towards the camera."
+            )
+        _note(recorders, people=len(recorders))
+        seen = [recorder.seen / source.fps for recorder in recorders]
+        return [r.finish() for r, long in zip(recorders, seen, strict=True) if long >= min(_SHORTEST, max(seen))]
+
+
+def _note(recorders: Sequence[_Recorder], **info: Any) -> None:
+    for recorder in recorders:
+        recorder.note(**info)
+
+
+def numbered(path: Path, number: int) -> Path:
+    """Name of the take of a person, from 0, beside `path`: `talk-1.facetake`."""
+    return path.with_name(f"{path.stem}-{number + 1}{path.suffix}")
+
+
+class _Recorder(Closing):
+    """Records a take, and writes it to a file if it has one.
+
+    Attributes
+    ----------
+    seen : int
+        Number of frames with a face.
+    """
+
+    def __init__(self, info: dict[str, Any], output: Path | None) -> None:
+        self._recorder = TakeRecorder(info)
+        self._writer = None if output is None else TakeWriter(output, info)
+        self.seen = 0
+
+    def append(self, time: float, result: TrackResult) -> None:
+        """Add a frame."""
+        self.seen += result.found
+        self._recorder.append(time, result)
+        if self._writer is not None:
+            self._writer.append(time, result)
+
+    def __len__(self) -> int:
+        return len(self._recorder)
+
+    def note(self, **info: Any) -> None:
+        """Add to the take's description."""
+        self._recorder.info.update(info)
+        if self._writer is not None:
+            self._writer.info.update(info)
+
+    def finish(self) -> Take:
+        """Return the take recorded so far; SourceError if there is no frame."""
+        return self._recorder.finish()
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._writer is not None:
+            self._writer.close()
 
 
 def _lost_after(source: VideoSource, count: int, last: float) -> float:

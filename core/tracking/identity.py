@@ -111,7 +111,8 @@ def _normalise(descriptor: NDArray[np.float32]) -> NDArray[np.float32]:
     return out
 
 
-def _blend(old: NDArray[np.float32], new: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+def blended(old: NDArray[np.float32], new: NDArray[np.float32], share: float) -> NDArray[np.float32]:
+    """Mix a share of a new descriptor (400,) into an old one."""
     return _normalise(old + np.float32(share) * (new - old))
 
 
@@ -177,7 +178,7 @@ class PerformerIdentity:
             return True
         if float(self._own @ descriptor) < _SAME:
             return False
-        self._own, self._unusual = _blend(self._own, descriptor, _LEARNING_RATE), 0
+        self._own, self._unusual = blended(self._own, descriptor, _LEARNING_RATE), 0
         return True
 
     def is_bystander(self, descriptor: NDArray[np.float32]) -> bool:
@@ -187,7 +188,7 @@ class PerformerIdentity:
     def adapt(self, descriptor: NDArray[np.float32]) -> None:
         """Adapt slowly to a descriptor that may be the performer's."""
         assert self._own is not None
-        self._own = _blend(self._own, descriptor, _UNSURE_RATE)
+        self._own = blended(self._own, descriptor, _UNSURE_RATE)
         self._unusual += 1
 
     def update_bystander(self, descriptor: NDArray[np.float32], pose: FloatArray) -> None:
@@ -205,7 +206,7 @@ class PerformerIdentity:
         alike = [other for other in self._bystanders if float(other.descriptor @ descriptor) > _SAME_BYSTANDER]
         if there or alike:
             other = max(there or alike, key=lambda o: float(o.descriptor @ descriptor))
-            other.descriptor = _blend(other.descriptor, descriptor, _BYSTANDER_RATE)
+            other.descriptor = blended(other.descriptor, descriptor, _BYSTANDER_RATE)
             other.pose, other.frame = pose, self.frame
         else:
             self._bystanders = [*self._bystanders, _Bystander(descriptor, pose, self.frame)][-_MAX_BYSTANDERS:]

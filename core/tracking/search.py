@@ -195,21 +195,21 @@ class FaceSearch:
         """
         return list(self._detected(grey, self._all if steps is None else steps, small, brief or self.gradual))
 
-    def others(self, grey: NDArray[np.uint8], pose: FloatArray, *, small: bool = False) -> list[Candidate]:
-        """Find faces other than the one at `pose`. Only boxes away from it are fitted.
+    def others(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], *, small: bool = False) -> list[Candidate]:
+        """Find faces other than those at `poses`. Only boxes away from them are fitted.
 
         Parameters
         ----------
         grey : (H, W) uint8
             Grey image.
-        pose : (6,) float64
-            Pose of the tracked face, in the image frame.
+        poses : sequence of (6,) float64
+            Poses of the tracked faces, in the image frame.
         small : bool
             Whether to search for small faces, too, which takes longer.
         """
 
         def apart(other: FloatArray) -> bool:
-            return float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0])
+            return all(float(np.hypot(*(other[4:6] - pose[4:6]))) > _SEPARATION * float(pose[0]) for pose in poses)
 
         steps: tuple[SearchStep, ...] = (_FIRST_PASS if small else NetworkPass(SIDES[:2]),)
         if self.network is None:
@@ -217,8 +217,8 @@ class FaceSearch:
         starts = [[start for start in self._starts(grey, step, self.gradual) if apart(start)] for step in steps]
         return [
             c
-            for step, poses in zip(steps, starts, strict=True)
-            for c in self._faces_in(grey, poses, step, self.gradual)
+            for step, chosen in zip(steps, starts, strict=True)
+            for c in self._faces_in(grey, chosen, step, self.gradual)
             if apart(c.pose)
         ]
 

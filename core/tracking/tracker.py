@@ -63,8 +63,8 @@ class FaceTracker:
 
     def __init__(self, model: TrackerModel, *, gradual: bool = False, settings: TrackingSettings = DEFAULTS) -> None:
         self._model = model
-        self._search = FaceSearch(model)
-        self._search.gradual = gradual
+        self.search = FaceSearch(model)
+        self.search.gradual = gradual
         self.settings = settings
         self._identity = PerformerIdentity()
         self._choice = FaceChoice()
@@ -108,7 +108,7 @@ class FaceTracker:
     @property
     def fitter(self) -> FaceFitter:
         """The fitter of the shape model."""
-        return self._search.fitter
+        return self.search.fitter
 
     @property
     def settings(self) -> TrackingSettings:
@@ -118,12 +118,12 @@ class FaceTracker:
     @settings.setter
     def settings(self, settings: TrackingSettings) -> None:
         self._settings = settings
-        self._search.network = self._model.detector if settings.detector == NETWORK else None
+        self.search.network = self._model.detector if settings.detector == NETWORK else None
 
     @property
     def timings(self) -> dict[str, float]:
         """Seconds spent in each stage of the last call: "detect", "experts", "fit", "check", "gaze", "actions"."""
-        return self._search.timings
+        return self.search.timings
 
     def reset(self) -> None:
         """Forget the tracked face and any choice, so that the next `track` detects a face."""
@@ -162,7 +162,7 @@ class FaceTracker:
         TrackResult
             The face, or that there is none.
         """
-        grey = self._begin(image)
+        grey = self.begin(image)
         self._identity.frame += 1
         # 1. Switch to another face if that was requested and one is in view.
         if self._switch_requested and (another := self._next_face(grey)) is not None:
@@ -171,14 +171,14 @@ class FaceTracker:
             return self._accept(grey, another)
         # 2. Fit from the face of the previous frame; accept a face (3.6) of the same person (3.7).
         if self._last is not None:
-            followed = self._search.follow(grey, self._last)
+            followed = self.search.follow(grey, self._last)
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
                 return self._accept(grey, followed)
             self._choice.wait_for(self._last)
         # 3. Detect all faces in view (3.2), and choose the performer's (3.7).
-        steps = self._search.steps(self._choice.misses)
+        steps = self.search.steps(self._choice.misses)
         brief = self._choice.misses > 0
-        found = self._search.detect(grey, steps, small=self._choice.waiting, brief=brief)
+        found = self.search.detect(grey, steps, small=self._choice.waiting, brief=brief)
         chosen = self._choice.pick(grey, found, self._identity)
         if chosen is None:
             self._last = self._actions = None
@@ -189,14 +189,13 @@ class FaceTracker:
 
     def locate(self, image: ArrayLike) -> TrackResult:
         """Find the largest face in a single image, without effect on `track`."""
-        grey = self._begin(image)
-        found = largest(self._search.detect(grey, small=self._choice.waiting))
-        return (
-            TrackResult.nothing(self.pdm.n_modes) if found is None else self._result(grey, found, self._model.actions)
-        )
+        grey = self.begin(image)
+        found = largest(self.search.detect(grey, small=self._choice.waiting))
+        return TrackResult.nothing(self.pdm.n_modes) if found is None else self.read(grey, found)
 
-    def _begin(self, image: ArrayLike) -> NDArray[np.uint8]:
-        self._search.begin()
+    def begin(self, image: ArrayLike) -> NDArray[np.uint8]:
+        """Begin with an image, and convert it to grey (H, W)."""
+        self.search.begin()
         pixels = as_image(image)
         return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
@@ -214,7 +213,7 @@ class FaceTracker:
         # The face is unfamiliar. Others in view are not the performer: remember them for later comparison. If there is
         # nobody else, the change is a hand, a shadow or the light.
         if identity.crowded or identity.search_due:
-            for other in self._search.others(grey, followed.pose):
+            for other in self.search.others(grey, [followed.pose]):
                 identity.update_bystander(describe_face(grey, other.pose), other.pose)
         identity.adapt(descriptor)
         return True
@@ -225,7 +224,7 @@ class FaceTracker:
         if self._last is None:
             return None
         here = self._last.pose
-        found = self._search.others(grey, here, small=True)
+        found = self.search.others(grey, [here], small=True)
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
     def _accept(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
@@ -233,20 +232,20 @@ class FaceTracker:
         self._choice.settle()
         # A gradual tracker measures all actions in the first frame, and then those of one part per frame.
         parts, before = self._model.actions, self._actions
-        if self._search.gradual and before is not None:
+        if self.search.gradual and before is not None:
             turn = self._identity.frame % len(parts)
             parts = parts[turn : turn + 1]
-        result = self._result(grey, candidate, parts, before, self._mouth)
+        result = self.read(grey, candidate, self._mouth, parts, before)
         self._actions = result.actions
         return result
 
-    def _result(
+    def read(
         self,
         grey: NDArray[np.uint8],
         candidate: Candidate,
-        parts: Sequence[ActionExperts],
-        before: FloatArray | None = None,
         mouth: HiddenMouth | None = None,
+        parts: Sequence[ActionExperts] | None = None,
+        before: FloatArray | None = None,
     ) -> TrackResult:
         """Return the result for a face, with the actions of `parts`; those of other parts are taken from `before`."""
         pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
@@ -256,7 +255,7 @@ class FaceTracker:
         began = perf_counter()
         gaze = find_gaze(grey, pose, landmarks, shape)
         looked = perf_counter()
-        actions = measure_actions(parts, grey, pose, landmarks, before)
+        actions = measure_actions(self._model.actions if parts is None else parts, grey, pose, landmarks, before)
         self.timings["gaze"] += looked - began
         self.timings["actions"] += perf_counter() - looked
         return TrackResult(

@@ -148,7 +148,7 @@ def _cascades() -> CascadeDetector:
 
 def _read_tracker(path: Path) -> None:
     tracker = FaceTracker.load(path)
-    tracker._search._cascades = _cascades()  # which would read its own files, slowly
+    tracker.search._cascades = _cascades()  # which would read its own files, slowly
     for _ in range(2):
         tracker.track(_face())
 

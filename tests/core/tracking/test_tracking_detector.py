@@ -135,15 +135,15 @@ def test_a_live_frame_tries_few_unlikely_detections_and_all_of_them_in_turn(monk
     tracker, tried = FaceTracker.load(gradual=True), []
     places = [np.array([40.0, 0.0, 0.0, 0.0, 60.0 + 65.0 * i, 240.0]) for i in range(8)]
     monkeypatch.setattr(NetworkDetector, "detect", lambda *_: [Detection(place, -0.5) for place in places])
-    fit = tracker._search.fitter.fit
+    fit = tracker.search.fitter.fit
 
     def counted(grey, start, rounds):
         if rounds == (COARSE,):
             tried[-1].append(round(float(start.pose[4])))
         return fit(grey, start, rounds)
 
-    monkeypatch.setattr(tracker._search.fitter, "fit", counted)
-    monkeypatch.setattr(tracker._search, "_boxes", lambda *_: [])
+    monkeypatch.setattr(tracker.search.fitter, "fit", counted)
+    monkeypatch.setattr(tracker.search, "_boxes", lambda *_: [])
     nobody = np.random.default_rng(1).integers(0, 256, (480, 640), np.uint8)
     for _ in range(16):
         tried.append([])
