@@ -10,7 +10,7 @@ from itertools import count
 from pathlib import Path
 
 from ..core.errors import FacemimeError, Message, SourceError
-from ..core.files.capture import check_readable, require_file
+from ..core.files.capture import PICTURE_RATE, check_readable, require_file
 from ..core.files.writing import check_distinct, check_writable, claimed, free_name, settle
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.from_video import numbered, track_people, track_video
@@ -88,7 +88,11 @@ def growing(unfinished: Path) -> Iterator[Path]:
 
 
 def track(
-    video: Path, unfinished: Path, face: tuple[float, float] | None, settings: TrackingSettings = DEFAULTS
+    video: Path,
+    unfinished: Path,
+    face: tuple[float, float] | None,
+    settings: TrackingSettings = DEFAULTS,
+    rate: float = PICTURE_RATE,
 ) -> Take:
     """Track `video`, writing the take to `unfinished` at the same time.
 
@@ -98,17 +102,19 @@ def track(
         File that grows while tracking.
     face : (float, float) or None
         As for `FaceTracker.choose`.
+    rate : float
+        Frames per second, if it is a folder of pictures.
 
     Raises
     ------
     SourceError
         If the video cannot be read, or no face was found in it.
     """
-    require_file(video)
+    _require(video)
     tracker = FaceTracker.load(settings=settings)
     progress = Progress(f"Tracking {video.name}")
     with STOPPING.noting():
-        track_video(video, tracker, _telling(progress), unfinished, face)
+        track_video(video, tracker, _telling(progress), unfinished, face, rate)
     take = load_take(unfinished)
     progress.finish(f"a face in {int(take.found.sum())} of {len(take)}")
     _tell_what_is_missing(video, take)
@@ -121,13 +127,15 @@ def track(
     return take
 
 
-def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings = DEFAULTS) -> list[tuple[Path, Take]]:
+def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings, rate: float) -> list[tuple[Path, Take]]:
     """Track everybody in `video`, writing a take a person at the same time.
 
     Parameters
     ----------
     unfinished : Path
         Name of the files that grow while tracking, which are numbered.
+    rate : float
+        Frames per second, if it is a folder of pictures.
 
     Returns
     -------
@@ -139,7 +147,7 @@ def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings = 
     SourceError
         If the video cannot be read, or no face was found in it.
     """
-    require_file(video)
+    _require(video)
     tracker = FaceTracker.load(settings=settings)
     progress = Progress(f"Tracking {video.name}")
     if (earlier := numbered(unfinished, 0)).exists():
@@ -150,7 +158,7 @@ def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings = 
             if not numbered(name := unfinished.with_stem(f"{unfinished.stem}-{number}"), 0).exists()
         )
     with STOPPING.noting():
-        takes = track_people(video, tracker, _telling(progress), unfinished)
+        takes = track_people(video, tracker, _telling(progress), unfinished, rate)
     named = [(numbered(unfinished, take.info["person"] - 1), take) for take in takes]
     kept = {path for path, _ in named}
     for number in range(max(take.info["people"] for take in takes)):
@@ -159,6 +167,12 @@ def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings = 
     progress.finish(f"{len(takes)} people" if len(takes) != 1 else "1 person")
     _tell_what_is_missing(video, takes[0])
     return named
+
+
+def _require(video: Path) -> None:
+    """Raise a SourceError unless there is a video or a folder of that name."""
+    if not os.path.isdir(video):
+        require_file(video)
 
 
 def _telling(progress: Progress) -> Callable[[int, int, object], bool]:

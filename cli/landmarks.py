@@ -13,8 +13,8 @@ import numpy as np
 
 from ..core.errors import OutputError, SourceError
 from ..core.face.landmarks import N_LANDMARKS
-from ..core.files.capture import IMAGE_SUFFIXES, check_readable, read_image, write_image
-from ..core.files.writing import check_writable, reason_of, replacing
+from ..core.files.capture import check_readable, pictures_in, read_image, write_image
+from ..core.files.writing import check_writable, replacing
 from ..core.tracking.overlay import draw_landmarks
 from ..core.tracking.tracker import FaceTracker
 from ..core.tracking.tracking_settings import TrackingSettings
@@ -120,7 +120,7 @@ def _images(paths: Sequence[Path]) -> list[Path]:
     files: list[Path] = []
     for path in paths:
         if os.path.isdir(path):
-            files += _pictures_in(path)
+            files += pictures_in(path)
         elif check_readable(path):
             files.append(path)
         else:
@@ -128,14 +128,3 @@ def _images(paths: Sequence[Path]) -> list[Path]:
     if not files:
         raise SourceError("There is no image in these folders. Use JPEG, PNG, BMP, TIFF or WebP.")
     return files
-
-
-def _pictures_in(folder: Path) -> list[Path]:
-    try:
-        return sorted(path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-    except OSError as error:
-        raise SourceError(
-            "The folder {folder} cannot be read: {error}. Change its permissions.",
-            folder=folder,
-            error=reason_of(error),
-        ) from error

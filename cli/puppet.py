@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
-from ..core.files.capture import require_utf8_name
+from ..core.files.capture import PICTURE_RATE, require_utf8_name
 from ..core.files.writing import free_name, settle
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.from_video import numbered
 from ..core.takes.smooth import smooth_take
+from ..core.takes.take import Take
 from ..core.tracking.tracking_settings import TrackingSettings
 from .console import tell
 from .job_files import (
@@ -35,14 +37,45 @@ from .options import (
     add_puppet_options,
     add_settings,
     filled,
+    number,
     puppet_job,
 )
+
+
+@dataclass(frozen=True)
+class _TrackJob:
+    """A video to track.
+
+    Attributes
+    ----------
+    video, output : Path
+        The video, or a folder of pictures, and the file for the take.
+    face : (float, float) or None
+        As for `FaceTracker.choose`.
+    faces : {"one", "all"}
+        Whether to write a take of everybody, numbered.
+    rate : float
+        Frames per second of pictures.
+    smooth : bool
+    """
+
+    video: Path
+    output: Path
+    face: tuple[float, float] | None
+    faces: str
+    rate: float
+    smooth: bool
 
 
 def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
     track = add_command(commands, "track", "track the face in a video")
-    track.add_argument("video", type=Path, metavar="VIDEO", help="any video that FFmpeg reads, such as MP4 (H.264)")
+    track.add_argument(
+        "video",
+        type=Path,
+        metavar="VIDEO|FOLDER",
+        help="any video that FFmpeg reads, such as MP4 (H.264), or a folder with its frames as pictures",
+    )
     add_output(track, "TAKE.facetake", "the take, which can drive any head; written while tracking")
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
     which = track.add_mutually_exclusive_group()
@@ -53,16 +86,15 @@ def add_commands(commands: Commands) -> None:
         default="one",
         help="write one take, or a numbered one of everybody in the video, such as TAKE-1.facetake (one)",
     )
-    add_settings(track, TrackingSettings)
-    track.set_defaults(
-        run=lambda given: (_run_track_everybody if given["faces"] == "all" else _run_track)(
-            given["video"],
-            given["output"],
-            given["face"],
-            filled(TrackingSettings, given),
-            smooth=given["smooth"],
-        )
+    track.add_argument(
+        "--rate",
+        type=number,
+        default=PICTURE_RATE,
+        metavar="FPS",
+        help=f"frames per second of pictures ({PICTURE_RATE:g})",
     )
+    add_settings(track, TrackingSettings)
+    track.set_defaults(run=lambda given: _run_track(filled(_TrackJob, given), filled(TrackingSettings, given)))
 
     puppet = add_command(commands, "puppet", "animate a head from a video or a take")
     puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
@@ -83,49 +115,30 @@ def add_commands(commands: Commands) -> None:
     puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
 
 
-def _run_track(
-    video: Path, output: Path, face: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
-) -> int:
-    """Run `facemime track`: write a video as a take; returns the exit status.
+def _run_track(job: _TrackJob, settings: TrackingSettings) -> int:
+    """Run `facemime track`: write a video as a take, or as one of everybody; returns the exit status."""
+    unfinished = unfinished_beside(job.output)
+    with outputs_of(((job.output, {SUFFIX}),), {"the video that is tracked": job.video}, unfinished):
+        if job.faces == "all":
+            takes = track_everybody(job.video, unfinished, settings, job.rate)
+            finished = [_finish(grown, numbered(job.output, i), take, job) for i, (grown, take) in enumerate(takes)]
+            return max(finished)
+        with growing(unfinished) as unfinished:
+            take = track(job.video, unfinished, job.face, settings, job.rate)
+            return _finish(unfinished, job.output, take, job)
 
-    Parameters
-    ----------
-    output : Path
-        File for the take.
-    face : (float, float) or None
-        As for `FaceTracker.choose`.
-    """
-    unfinished = unfinished_beside(output)
-    outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}
-    with outputs_of(outputs, inputs, unfinished), growing(unfinished) as unfinished:
-        take = track(video, unfinished, face, settings)
-        if smooth:
-            take = smooth_take(take)
-            save_take(take, unfinished)
-        if take.info.get("interrupted"):
-            return keep_interrupted(take, unfinished, place_beside(output, SUFFIX))
-        settle(unfinished, output)
+
+def _finish(unfinished: Path, output: Path, take: Take, job: _TrackJob) -> int:
+    """Smooth a take if that was asked for, and give its file the name `output`; returns the exit status."""
+    if job.smooth:
+        take = smooth_take(take)
+        save_take(take, unfinished)
+    if take.info.get("interrupted"):
+        return keep_interrupted(take, unfinished, place_beside(output, SUFFIX))
+    settle(unfinished, output)
+    if job.faces == "all":
+        tell(f"{output}: a face in {int(take.found.sum())} of {len(take)} frames")
     return 0
-
-
-def _run_track_everybody(
-    video: Path, output: Path, _: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
-) -> int:
-    """Run `facemime track --faces all`: write a take of everybody; returns the exit status."""
-    unfinished = unfinished_beside(output)
-    with outputs_of(((output, {SUFFIX}),), {"the video that is tracked": video}, unfinished):
-        takes = track_everybody(video, unfinished, settings)
-        status = 0
-        for number, (grown, take) in enumerate(takes):
-            if smooth:
-                save_take(smooth_take(take), grown)
-            own = numbered(output, number)
-            if take.info.get("interrupted"):
-                status = keep_interrupted(take, grown, place_beside(own, SUFFIX))
-                continue
-            settle(grown, own)
-            tell(f"{own}: a face in {int(take.found.sum())} of {len(take)} frames")
-    return status
 
 
 def run_puppet(job: PuppetJob) -> int:

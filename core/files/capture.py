@@ -28,6 +28,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 MAX_PIXELS = 1 << 26
 """Largest number of pixels of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
+_NUMBERED = re.compile(r"(\D*)(\d*)")
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
 
 
@@ -124,6 +125,88 @@ class VideoSource(Closing):
     def close(self) -> None:
         """Release the file; may be called twice."""
         self._capture.release()
+
+
+PICTURE_RATE = 25.0
+"""Frames per second of pictures, unless another rate is given."""
+
+
+class PictureSource(Closing):
+    """The pictures in a folder as the frames of a video, in the order of their names; 2.png comes before 10.png.
+
+    Pictures that cannot be read are skipped.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder.
+    rate : float
+        Frames per second.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    fps : float
+        The rate.
+    frame_count : int
+        Number of pictures.
+
+    Raises
+    ------
+    SourceError
+        If the rate is impossible, or the folder is missing or has no pictures; while reading, if no picture can be
+        read.
+    """
+
+    def __init__(self, folder: Path, rate: float = PICTURE_RATE) -> None:
+        if not 0.1 <= rate <= 1000.0:
+            raise SourceError(
+                "The rate must be between 0.1 and 1000 frames per second; got {rate:g}. Use 25, for instance.",
+                rate=rate,
+            )
+        self.path, self.fps = Path(folder), rate
+        self._pictures = pictures_in(self.path)
+        if not self._pictures:
+            raise SourceError("There are no images in {folder}. Use JPEG, PNG, BMP, TIFF or WebP.", folder=folder)
+        self.frame_count = len(self._pictures)
+
+    def __iter__(self) -> Iterator[Frame]:
+        unreadable: SourceError | None = None
+        shown = 0
+        for picture in self._pictures:
+            try:
+                image = read_image(picture)
+            except SourceError as error:
+                unreadable = error
+                continue
+            yield Frame(image, shown / self.fps, shown)
+            shown += 1
+        if not shown and unreadable is not None:
+            raise unreadable
+
+    def close(self) -> None:
+        """Do nothing, as no file is open."""
+
+
+def pictures_in(folder: Path) -> list[Path]:
+    """Return the pictures in a folder by name, numbers in their order; SourceError if it cannot be read."""
+    try:
+        pictures = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise SourceError("There is no folder {folder}. Choose the folder with the images.", folder=folder) from error
+    except OSError as error:
+        raise SourceError(
+            "The folder {folder} cannot be read: {error}. Change its permissions.",
+            folder=folder,
+            error=reason_of(error),
+        ) from error
+    return sorted(pictures, key=lambda path: [(int(n or 0), text) for text, n in _NUMBERED.findall(path.name)])
+
+
+def open_video(path: Path, rate: float = PICTURE_RATE) -> VideoSource | PictureSource:
+    """Open a video, or a folder of pictures, which are shown at a rate in frames per second."""
+    return PictureSource(path, rate) if os.path.isdir(path) else VideoSource(path)
 
 
 def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:

@@ -6,7 +6,6 @@ frames, as following an old frame is worse than skipping it.
 
 from __future__ import annotations
 
-import os
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
@@ -18,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SourceError
-from ..files.capture import IMAGE_SUFFIXES, VideoSource, read_image
+from ..files.capture import PICTURE_RATE, PictureSource, VideoSource
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from ..tracking.result import TrackResult
@@ -258,34 +257,15 @@ class VideoPlayer(PacedSource):
 class PicturePlayer(PacedSource):
     """Plays the images in a folder, sorted by name, at `rate` frames per second."""
 
-    def __init__(self, folder: Path, *, rate: float = 25.0, loop: bool = False, speed: float = 1.0) -> None:
+    def __init__(self, folder: Path, *, rate: float = PICTURE_RATE, loop: bool = False, speed: float = 1.0) -> None:
         super().__init__(Path(folder).name, loop=loop, speed=speed)
-        if not 0.1 <= rate <= 1000.0:
-            raise SourceError(
-                "The rate must be between 0.1 and 1000 frames per second; got {rate:g}. Use 25, for instance.",
-                rate=rate,
-            )
         self._folder, self._rate = Path(folder), rate
 
     def frames(self) -> Iterator[LiveFrame]:
         """Iterate over the images in the folder; those that cannot be read are skipped."""
-        if not os.path.isdir(self._folder):
-            raise SourceError("There is no folder {folder}. Choose the folder with the images.", folder=self._folder)
-        paths = sorted(path for path in self._folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES)
-        if not paths:
-            raise SourceError("There are no images in {folder}. Use JPEG, PNG, BMP, TIFF or WebP.", folder=self._folder)
-        unreadable: SourceError | None = None
-        shown = 0
-        for path in paths:
-            try:
-                image = read_image(path)
-            except SourceError as error:
-                unreadable = error
-                continue
-            yield LiveFrame(shown / self._rate, image)
-            shown += 1
-        if not shown and unreadable is not None:
-            raise unreadable
+        with PictureSource(self._folder, self._rate) as source:
+            for frame in source:
+                yield LiveFrame(frame.time, frame.image)
 
 
 class TakePlayer(PacedSource):

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import Message, SourceError
-from ..files.capture import VideoSource
+from ..files.capture import PICTURE_RATE, PictureSource, VideoSource, open_video
 from ..files.closing import Closing
 from ..files.media_headers import last_image
 from ..tracking.people import PeopleTracker
@@ -34,13 +34,14 @@ def track_video(
     on_frame: OnFrame | None = None,
     output: Path | None = None,
     face: tuple[float, float] | None = None,
+    rate: float = PICTURE_RATE,
 ) -> Take:
     """Track every frame of a video.
 
     Parameters
     ----------
     path : path-like
-        The video.
+        The video, or a folder with its frames as pictures.
     tracker : FaceTracker, optional
         The tracker, which is reset at the start; by default a new one with the shipped model.
     on_frame : callable, optional
@@ -50,6 +51,8 @@ def track_video(
         A take to write while tracking, so that a crash loses nothing; it must not exist.
     face : (float, float), optional
         Position of the face to track, as for `FaceTracker.choose`; by default the largest.
+    rate : float
+        Frames per second of pictures.
 
     Returns
     -------
@@ -73,7 +76,8 @@ def track_video(
     """
     tracker = FaceTracker.load() if tracker is None else tracker
     with ExitStack() as stack:
-        source = stack.enter_context(VideoSource(Path(path)))
+        source = open_video(Path(path), rate)
+        stack.enter_context(source)
         recorder = stack.enter_context(_Recorder({}, output))
         tracker.reset()
         if face is not None:
@@ -104,13 +108,14 @@ def track_people(
     tracker: FaceTracker | None = None,
     on_frame: OnFaces | None = None,
     output: Path | None = None,
+    rate: float = PICTURE_RATE,
 ) -> list[Take]:
     """Track everybody in a video.
 
     Parameters
     ----------
     path : path-like
-        The video.
+        The video, or a folder with its frames as pictures.
     tracker : FaceTracker, optional
         Finds and fits the faces; by default a new one with the shipped model.
     on_frame : callable, optional
@@ -118,6 +123,8 @@ def track_people(
         in view. Returning False stops.
     output : Path, optional
         Name of the takes to write while tracking; that of each person is `numbered`, and must not exist.
+    rate : float
+        Frames per second of pictures.
 
     Returns
     -------
@@ -134,7 +141,8 @@ def track_people(
     """
     people = PeopleTracker(FaceTracker.load() if tracker is None else tracker)
     with ExitStack() as stack:
-        source = stack.enter_context(VideoSource(Path(path)))
+        source = open_video(Path(path), rate)
+        stack.enter_context(source)
         recorders: list[_Recorder] = []
         times: list[float] = []
         info: dict[str, Any] = {}
@@ -223,7 +231,7 @@ class _Recorder(Closing):
             self._writer.close()
 
 
-def _lost_after(source: VideoSource, count: int, last: float) -> float:
+def _lost_after(source: VideoSource | PictureSource, count: int, last: float) -> float:
     """Return how many seconds of a video are missing after the last image that was read; 0 if it is complete.
 
     Parameters
@@ -232,7 +240,7 @@ def _lost_after(source: VideoSource, count: int, last: float) -> float:
         Time of the last one.
     """
     stated = source.frame_count / source.fps
-    if count >= _COMPLETE * source.frame_count or last >= _COMPLETE * stated:
+    if isinstance(source, PictureSource) or count >= _COMPLETE * source.frame_count or last >= _COMPLETE * stated:
         return 0.0
     # Some files state only how long they last, which may be how long their sound does.
     images = last_image(source.path)

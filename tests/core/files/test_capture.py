@@ -11,7 +11,16 @@ import pytest
 
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.files import capture
-from facemime.core.files.capture import Frame, VideoSource, at_constant_rate, is_address, read_image, write_image
+from facemime.core.files.capture import (
+    Frame,
+    PictureSource,
+    VideoSource,
+    at_constant_rate,
+    is_address,
+    open_video,
+    read_image,
+    write_image,
+)
 from tests.helpers.turned import turned_clip
 
 
@@ -162,3 +171,33 @@ def test_playlists_on_the_network_are_not_opened(tmp_path):
             with contextlib.suppress(BlockingIOError):
                 asked.append(server.accept())
     assert not asked
+
+
+def pictures(folder: Path, names: list[str]) -> Path:
+    """Write a grey picture of each name, brighter than the one before."""
+    folder.mkdir()
+    for number, name in enumerate(names):
+        write_image(folder / name, np.full((24, 32, 3), 20 + 30 * number, np.uint8))
+    return folder
+
+
+def test_pictures_are_frames_in_the_order_of_their_numbers(tmp_path):
+    folder = pictures(tmp_path / "clip", ["face1.png", "face2.png", "face10.png"])
+    (folder / "face3.png").write_bytes(b"no picture")
+    (folder / "notes.txt").write_text("no picture either")
+    with open_video(folder, 10.0) as source:
+        frames = list(source)
+    assert [int(frame.image.mean()) for frame in frames] == [20, 50, 80]
+    assert [frame.time for frame in frames] == [0.0, 0.1, 0.2] and source.fps == 10.0
+
+
+def test_a_folder_without_pictures_is_refused(tmp_path):
+    with pytest.raises(SourceError, match="no images"):
+        open_video(tmp_path)
+    with pytest.raises(SourceError, match="no folder"):
+        PictureSource(tmp_path / "missing")
+    with pytest.raises(SourceError, match="rate"):
+        PictureSource(pictures(tmp_path / "clip", ["1.png"]), 0.0)
+    (pictures(tmp_path / "bad", []) / "1.png").write_bytes(b"no picture")
+    with open_video(tmp_path / "bad") as source, pytest.raises(SourceError, match="cannot be read as an image"):
+        list(source)

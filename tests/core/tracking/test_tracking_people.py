@@ -125,3 +125,15 @@ def test_the_command_writes_a_numbered_take_of_everybody(faces, tmp_path):
     assert takes == ["talk-1.facetake", "talk-2.facetake"]
     assert all(load_take(tmp_path / name).found.all() for name in takes)
     assert numbered(tmp_path / "talk.facetake", 1) == tmp_path / "talk-2.facetake"
+
+
+def test_a_folder_of_pictures_is_tracked_like_a_video(faces, tmp_path):
+    folder = tmp_path / "frames"
+    folder.mkdir()
+    for number in range(12):
+        cv2.imwrite(str(folder / f"{number}.png"), faces[0])
+    done = run("track", folder, "-o", tmp_path / "talk.facetake", "--rate", "10")
+    assert done.returncode == 0, done.stderr
+    take = load_take(tmp_path / "talk.facetake")
+    assert take.found.all()
+    np.testing.assert_allclose(take.times, np.arange(12) / 10.0)
