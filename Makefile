@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -143,6 +143,13 @@ paper: setup
 CLIPS ?= ../shared/data/expressions
 bench-expressions: build/peers/.ready
 	build/peers/bin/python -m lab.bench.expressions $(CLIPS)/labels.csv $(CLIPS)/neutral.csv $(CLIPS)/clips --json build/bench/expressions.json
+
+# Clips of strangers and what another reader sees in them; needs ../shared/data, and ten minutes.
+STRANGERS ?= ../shared/data/practice/clips
+PEER ?= ../shared/data/practice/peer
+bench-strangers: setup
+	mkdir -p build/bench
+	$(BIN)/python -m lab.bench.strangers $(STRANGERS) $(PEER) --ablate --json build/bench/strangers.json
 
 # Rendered clips of held-out people; needs ../shared/data.
 bench-actions: setup

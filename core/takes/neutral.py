@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import Message, SourceError
-from ..face.landmarks import MIRROR, N_LANDMARKS, eye_apertures, mouth_aperture
-from ..face.names import ACTION_MIRROR, N_ACTIONS
+from ..face.landmarks import BROWS, LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS, eye_apertures, mouth_aperture
+from ..face.names import ACTION_MIRROR, ACTIONS, N_ACTIONS, action_indices
 from ..face.rotation import euler_to_matrix
 from ..files.reading import as_object, parse_json
 from ..heads.regions import REGIONS, rms_extent
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from .face_space import load_face_space
+from .face_space import load_face_space, without_similarity
 from .facing import facing, usual_gaze
 from .take import Take
 
@@ -58,6 +58,19 @@ _WEAK = 0.3
 """Activation up to which an expression may be the person's own face."""
 _MUCH_REMOVED = 0.35
 """Activation above which an expression that was removed is reported."""
+_TOWARDS_MEAN = 0.5
+"""Share of the way to the mean of people's faces, so that an expression that lasts does not pass for rest. On the
+strangers' clips of `lab.bench.strangers`, the more the better the frames of different people compare, on either half;
+beyond 0.5 the signs of the hand-labelled clips get worse, as a person's own brows pass for expression."""
+_ACTED = 0.5
+"""Activation of the brows' actions from which their height at rest counts as unknown. Where the network sees less of
+any, their height is more and more the person's own. From 0.45 to 0.6 frames of strangers compare alike."""
+_BROW_ACTIONS = action_indices(name for name in ACTIONS if name.startswith("brow"))
+_SEALED = 0.15
+"""Share of a take in which the lips are at most as far apart as at rest. Chosen on one half of the strangers' clips."""
+_MAX_SEALED = 0.04
+"""Largest gap, in eye distances, of lips that count as shut, which lips that are seen from below, bearded or blurred
+have. Chosen likewise: with 0.03 fewer shut lips are shown as such, with 0.05 fewer of those that are slightly apart."""
 _MAX_VALUES = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}
 """Largest stored values: of the shape and the mouth in outer-eye distances, of the gaze and vergence in radians."""
 _MAX_VALUE = 1e7
@@ -259,7 +272,7 @@ def calibrate(take: Take, start: float | None = None, duration: float = 1.0) -> 
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
     if start is None and "calibration" in take.info:
         return Neutral.from_dict(take.info["calibration"])
-    return _calmest(take) if start is None else _average(take, start, duration)
+    return calmest(take) if start is None else _average(take, start, duration)
 
 
 def _average(take: Take, start: float, duration: float) -> Neutral:
@@ -280,8 +293,11 @@ def _average(take: Take, start: float, duration: float) -> Neutral:
     return replace(neutral, start=float(take.times[chosen][0]), end=float(take.times[chosen][-1]))
 
 
-def _calmest(take: Take) -> Neutral:
-    """Return the neutral face of the calmest moment, without the expression that it shows."""
+def calmest(take: Take, *, prior: bool = True) -> Neutral:
+    """Return the neutral face of the calmest moment, without the expression that it shows.
+
+    Without `prior`, it is not moved towards the mean of people's faces.
+    """
     found = np.flatnonzero(take.found)
     chosen = found[np.unique(np.linspace(0, len(found) - 1, min(_MAX_FRAMES, len(found))).astype(np.intp))]
     activations = load_face_space().explain(take.shape[chosen].astype(np.float64), trust(take, chosen))
@@ -291,7 +307,7 @@ def _calmest(take: Take) -> Neutral:
     spans = [np.arange(i, end) for i, end in enumerate(np.searchsorted(times, times + _MOMENT, side="right"))]
     calmer = [span[np.argsort(amount[span])[: (len(span) + 1) // 2]] for span in spans]
     calm = min(calmer, key=lambda span: float(amount[span].mean()))
-    return _without(strong[calm], take, chosen[calm], np.full(len(calm), 1.0 / len(calm)))
+    return _without(strong[calm], take, chosen[calm], np.full(len(calm), 1.0 / len(calm)), prior=prior)
 
 
 def trust(take: Take, frames: IntArray) -> FloatArray:
@@ -345,12 +361,34 @@ def _expressed(take: Take, frames: IntArray, activations: FloatArray) -> tuple[F
     return amount, np.maximum(activations - np.maximum(usual, _WEAK), 0.0)
 
 
-def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray) -> Neutral:
+def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray, *, prior: bool = True) -> Neutral:
     """Return the neutral face of frames, averaged by `share` (N,), without their expressions `strong` (N, U)."""
     added = np.tensordot(share @ strong, load_face_space().units, 1)
     shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
+    if prior and not take.info.get("measured"):
+        acted = float((share @ take.actions[frames][:, _BROW_ACTIONS]).max())  # NaN if unknown
+        brows = min(acted / _ACTED, 1.0) if np.isfinite(acted) else 1.0
+        shape = _at_rest(shape, brows, mouth_aperture(take.shape[take.found].astype(np.float64)))
     rested = np.sort(frames[share >= 0.5 * share.max()])
     return replace(_neutral(take, shape, rested, facing(take)), removed=float((share @ strong).max()), asked=False)
+
+
+def _at_rest(shape: FloatArray, brows: float, openings: FloatArray) -> FloatArray:
+    """Move a shape (66, 3) towards the mean of people's faces, with lips as far apart as the take's shut ones.
+
+    The mean keeps an expression that lasts from passing for rest. `brows` is the doubt, 0 to 1, whether these rest;
+    `openings` (N,) are those of the mouth. Pose and size of the face stay.
+    """
+    mean = load_face_space().mean
+    towards = np.full((N_LANDMARKS, 1), _TOWARDS_MEAN)
+    towards[BROWS] *= brows
+    rest = shape - towards * without_similarity((shape - mean)[None], mean)[0]
+    # The tracker sees shut lips of one person closer together than those of another.
+    gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
+    lacking = max(gap - float(mouth_aperture(rest)), 0.0)
+    rest[UPPER_LIPS, 1] -= lacking / 2.0
+    rest[LOWER_LIPS, 1] += lacking / 2.0
+    return np.asarray(rest)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:

@@ -95,7 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     rows: list[tuple[object, ...]] = []
     mouths: list[tuple[object, ...]] = []
     for clip in clips:
-        take = _take_of(clip.path, tracker, arguments.takes)
+        take = take_of(clip.path, tracker, arguments.takes)
         fps = float(take.info.get("fps", 25.0))
         given = clip.neutral[0] / fps if arguments.given_neutral and clip.neutral is not None else None
         performance = Performance.of(take, PuppetSettings(neutral=given, smoothing=0.0))
@@ -223,7 +223,8 @@ def _shares(scores: Mapping[str, Score]) -> dict[str, tuple[float, float]]:
     return {name: (float(np.mean(s.order)), float(np.mean(s.sign))) for name, s in {**scores, "all": every}.items()}
 
 
-def _take_of(path: Path, tracker: FaceTracker, folder: Path) -> Take:
+def take_of(path: Path, tracker: FaceTracker, folder: Path) -> Take:
+    """Track a clip, or read its take from `folder`."""
     kept = folder / f"{path.stem}-{tracker.model_id}.facetake"
     if not kept.exists():
         tracker.reset()

@@ -115,7 +115,7 @@ def test_a_puffed_cheek_moves_its_own_side_outwards():
 
 
 def test_a_take_that_shows_actions_puts_out_the_tongue_and_puffs_the_cheek():
-    still = performance()
+    still = showing(performance())
     take = showing(still, tongueOut=0.9, cheekPuffLeft=0.9)
     motion, plain = (drive_take(driver_of(t), t) for t in (take, still))
     assert not motion.actions[: len(motion.times) // 2 - 1, TOLD_BY_PICTURE].any()
@@ -125,7 +125,7 @@ def test_a_take_that_shows_actions_puts_out_the_tongue_and_puffs_the_cheek():
 
 
 def test_only_landmarks_and_the_papers_kernels_ignore_actions():
-    still = performance()
+    still = showing(performance())
     take = showing(still, tongueOut=0.9, cheekPuffLeft=0.9)
     motion, plain = (drive_take(driver_of(t, only_landmarks=True), t) for t in (take, still))
     np.testing.assert_array_equal(motion.vertices, plain.vertices)

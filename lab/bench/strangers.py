@@ -1,0 +1,269 @@
+"""Agreement of the avatar with another reader on clips of strangers: `python -m lab.bench.strangers CLIPS PEER`.
+
+PEER has an archive NAME.npz for each clip: `points` (N, 66, 3), pose-free landmarks, NaN where no face was found;
+`blendshapes` (N, 52) and their `names`. The clips are divided by name into two halves of alternate clips: a rule that
+was chosen on one of them has to hold on the other. `--ablate` shows, on each half, what every rule contributes.
+
+*Within* a clip, the features of the driven built-in head are compared with those of the peer's landmarks (correlation
+and slope, medians over the clips in which the peer sees motion). *Across* clips, they are compared with the peer's
+coefficients by rank: these know no neutral face of the clip, so a wrong neutral face counts. *Shut* is the share of
+frames with shut lips, by the peer, in which the avatar's are shut. The peer is a reader, not the truth.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from facemime.core.drive import retarget
+from facemime.core.drive.motion import drive_take
+from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, outer_eye_distance
+from facemime.core.heads.rig import HeadRig, built_in_head
+from facemime.core.puppet.performance import Performance
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from facemime.core.takes import neutral
+from facemime.core.takes.face_space import load_face_space, without_similarity
+from facemime.core.takes.neutral import calibrate, calmest
+from facemime.core.takes.take import Take
+from facemime.core.tracking.tracker import FaceTracker
+from lab.bench.expressions import THRESHOLDS, Features, features, take_of
+from lab.bench.report import Table, finish, parser
+
+MOVES = {
+    **{"brow_l": 0.02, "brow_r": 0.02, "brow_in": 0.012, "lid_l": 0.12, "lid_r": 0.12},
+    **{"jaw": 0.03, "smile": 0.02, "width": 0.03, "side": 0.015},
+}
+"""Standard deviation above which the peer sees a feature move in a clip."""
+ACROSS: Mapping[str, tuple[str, float, tuple[str, ...]]] = {
+    "brows up": ("brow", 1.0, ("browOuterUpLeft", "browOuterUpRight", "browInnerUp")),
+    "brows down": ("brow", -1.0, ("browDownLeft", "browDownRight")),
+    "blink": ("lid", 1.0, ("eyeBlinkLeft", "eyeBlinkRight")),
+    "jaw": ("jaw", 1.0, ("jawOpen",)),
+    "smile": ("smile", 1.0, ("mouthSmileLeft", "mouthSmileRight")),
+    "pucker": ("width", -1.0, ("mouthPucker", "mouthFunnel")),
+}
+"""The feature, its sign, and the peer's coefficients, whose mean it is compared with."""
+_SAMPLED = 100
+"""Frames of each clip that are compared across clips."""
+_FEWEST = 30
+"""Smallest number of frames that both find in a clip."""
+_PEER_SHUT = 0.0156
+"""Gap of the peer's lips below which they are shut, in outer-eye distances."""
+_SHUT = 0.03
+"""Gap of the avatar's lips below which they are shut."""
+ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
+    "as it is": {},
+    "neutral face not moved towards the mean": {(neutral, "_TOWARDS_MEAN"): 0.0},
+    "a third of the way": {(neutral, "_TOWARDS_MEAN"): 1.0 / 3.0},
+    "two thirds of the way": {(neutral, "_TOWARDS_MEAN"): 2.0 / 3.0},
+    "brows as far as the rest": {(neutral, "_ACTED"): 1e-6},
+    "brows' doubt up to an activation of 0.3": {(neutral, "_ACTED"): 0.3},
+    "brows' doubt up to an activation of 0.8": {(neutral, "_ACTED"): 0.8},
+    "gap of shut lips not from the take": {(neutral, "_MAX_SEALED"): 0.0},
+    "calmest moment without the brows' usual height": {(neutral, "_USUAL"): 0.0},
+    "calmest moment without the lids": {(neutral, "_LIDS"): 0.0},
+    "no expression removed from it": {(neutral, "_WEAK"): 10.0},
+    "every expression removed from it": {(neutral, "_WEAK"): 0.0},
+    "half a second of it": {(neutral, "_MOMENT"): 0.5},
+    "lower lip not relative to the upper one": {(retarget, "_FACING_LIPS"): ()},
+    "lips without gains": {(retarget, "_LIP_GAIN"): (1.0, 1.0)},
+    "widest opening not stretched": {(neutral, "_MAX_GAIN"): 1.0},
+}
+"""Rules of the neutral face and of retargeting with the values that turn them off, or with others."""
+
+
+@dataclass(frozen=True)
+class Clip:
+    """A clip as both read it: `seen` are the frames in which both find the face."""
+
+    take: Take
+    points: np.ndarray
+    coefficients: Mapping[str, np.ndarray]
+    seen: np.ndarray
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Measure and print."""
+    command = parser(__doc__.splitlines()[0])
+    command.add_argument("clips", type=Path)
+    command.add_argument("peer", type=Path)
+    command.add_argument(
+        "--takes", type=Path, default=Path("build/bench/strangers"), help="folder in which takes are cached"
+    )
+    command.add_argument("--ablate", action="store_true", help="measure each rule as well; 20 s each")
+    arguments = command.parse_args(argv)
+    arguments.takes.mkdir(parents=True, exist_ok=True)
+    clips = read_clips(arguments.clips, arguments.peer, arguments.takes)
+    names = sorted(clips)
+    halves = {"A": names[::2], "B": names[1::2]}
+    rig, rules = built_in_head(), ABLATIONS if arguments.ablate else {"as it is": {}}
+    rest = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    measured: dict[str, dict[str, dict[str, Any]]] = {half: {} for half in halves}
+    for rule, values in rules.items():
+        with patched(values):
+            shown = {name: driven(clip.take, rig) for name, clip in clips.items()}
+        for half, chosen in halves.items():
+            avatar = [(clips[name], shown[name], rest) for name in chosen]
+            measured[half][rule] = {"across": across(avatar), "within": within(avatar), "shut": shut_lips(avatar)}
+    for half, chosen in halves.items():
+        for rule, face in simple_rules().items():
+            shapes = [
+                (clips[name], clips[name].take.shape.astype(np.float64), face(clips[name].take)) for name in chosen
+            ]
+            measured[half][rule] = {"across": across(shapes)}
+    finish(arguments, list(_tables(measured)), {"halves": halves, "measured": measured})
+    return 0
+
+
+def read_clips(folder: Path, peer: Path, takes: Path) -> dict[str, Clip]:
+    """Track the clips of `folder` that the peer has read, or read their takes from the folder `takes`."""
+    tracker, clips = FaceTracker.load(), {}
+    for path in sorted(peer.glob("*.npz")):
+        video = next(iter(sorted(folder.glob(f"{path.stem}.*"))), None)
+        if video is None:
+            print(f"{path.stem} is left out: no such clip", file=sys.stderr)
+            continue
+        take = take_of(video, tracker, takes)
+        with np.load(path) as archive:
+            points, columns = archive["points"].astype(np.float64), archive["blendshapes"].astype(np.float64).T
+            coefficients = dict(zip(map(str, archive["names"]), columns, strict=True))
+        count = min(len(take), len(points))
+        seen = np.flatnonzero(np.isfinite(points[:count, 0, 0]) & take.found[:count])
+        if len(seen) < _FEWEST:
+            print(f"{path.stem} is left out: both find a face in {len(seen)} frames", file=sys.stderr)
+            continue
+        clips[path.stem] = Clip(take, points, coefficients, seen)
+    return clips
+
+
+def driven(take: Take, rig: HeadRig) -> np.ndarray:
+    """Landmarks (N, 66, 3) of the head that a take drives; NaN where no face was found."""
+    performance = Performance.of(take, PuppetSettings(smoothing=0.0))
+    shown = np.full((len(take), len(rig.landmarks), 3), np.nan)
+    moved = drive_take(performance.driver(rig), take).vertices[:, rig.landmarks]
+    shown[take.found] = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks] + moved
+    return shown
+
+
+def simple_rules() -> dict[str, Callable[[Take], np.ndarray]]:
+    """Rules that find a neutral face for the tracked shape: ours, and simpler ones."""
+    mean = load_face_space().mean
+
+    def calm(take: Take) -> np.ndarray:
+        return calmest(take, prior=False).shape
+
+    def half_way(take: Take) -> np.ndarray:
+        face = calm(take)
+        return np.asarray(face - 0.5 * without_similarity((face - mean)[None], mean)[0])
+
+    return {
+        "tracked shape, today's neutral face": lambda take: calibrate(take).shape,
+        "tracked shape, calmest moment": calm,
+        "tracked shape, half way from it to the mean face": half_way,
+        "tracked shape, mean face of people": lambda take: mean,
+        "tracked shape, median of the clip": lambda take: np.median(take.shape[take.found].astype(np.float64), axis=0),
+    }
+
+
+Read = tuple[Clip, np.ndarray, np.ndarray]
+"""A clip, landmarks (N, 66, 3) that stand for it, and these at rest (66, 3)."""
+
+
+def across(reads: Sequence[Read]) -> dict[str, float]:
+    """Rank correlation of features with the peer's coefficients, over frames of all clips."""
+    pooled: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in ACROSS}
+    for clip, shown, rest in reads:
+        frames = clip.seen[:: max(1, len(clip.seen) // _SAMPLED)]
+        moved = features(shown, rest)
+        both = {
+            "brow": 0.5 * (moved["brow_l"] + moved["brow_r"]),
+            "lid": 0.5 * (moved["lid_l"] + moved["lid_r"]),
+            **moved,
+        }
+        for name, (feature, sign, columns) in ACROSS.items():
+            pooled[name][0].extend(sign * both[feature][frames])
+            pooled[name][1].extend(np.mean([clip.coefficients[column][frames] for column in columns], axis=0))
+    return {name: float(np.corrcoef(_ranks(ours), _ranks(theirs))[0, 1]) for name, (ours, theirs) in pooled.items()}
+
+
+def within(reads: Sequence[Read]) -> dict[str, tuple[int, float, float]]:
+    """By feature: clips in which the peer sees it move, and their median correlation and slope."""
+    found: dict[str, list[tuple[float, float]]] = {name: [] for name in THRESHOLDS}
+    for clip, shown, rest in reads:
+        ours, theirs = _both(clip, shown, rest)
+        for name, kept in found.items():
+            one, other = ours[name], theirs[name]
+            if other.std() > MOVES[name]:
+                correlation = float(np.corrcoef(one, other)[0, 1]) if one.std() > 0.0 else 0.0
+                kept.append((correlation, correlation * float(one.std() / other.std())))
+    return {name: (len(kept), *np.median(kept, axis=0).tolist()) for name, kept in found.items() if kept}
+
+
+def shut_lips(reads: Sequence[Read]) -> float:
+    """Share of the frames with shut lips, by the peer, in which the lips shown are shut."""
+    shut: list[np.ndarray] = []
+    for clip, shown, rest in reads:
+        theirs = clip.points[clip.seen]
+        apart = np.linalg.norm(theirs[:, UPPER_LIPS].mean(axis=1) - theirs[:, LOWER_LIPS].mean(axis=1), axis=1)
+        ours = shown[clip.seen][apart < _PEER_SHUT]
+        gap = ours[:, LOWER_LIPS, 1].mean(axis=1) - ours[:, UPPER_LIPS, 1].mean(axis=1)
+        shut.append(gap / outer_eye_distance(rest) < _SHUT)
+    return float(np.concatenate(shut).mean())
+
+
+def _both(clip: Clip, shown: np.ndarray, rest: np.ndarray) -> tuple[Features, Features]:
+    """Features of both in the frames in which both find a face; the peer's are relative to the clip's median."""
+    theirs = clip.points[clip.seen]
+    return features(shown[clip.seen], rest), features(theirs, np.median(theirs, axis=0))
+
+
+def _ranks(values: Sequence[float]) -> np.ndarray:
+    ranks = np.empty(len(values))
+    ranks[np.argsort(values)] = np.arange(len(values))
+    return ranks
+
+
+@contextmanager
+def patched(values: Mapping[tuple[Any, str], Any]) -> Iterator[None]:
+    """Give attributes of modules other values for a while."""
+    before = {(module, name): getattr(module, name) for module, name in values}
+    try:
+        for (module, name), value in values.items():
+            setattr(module, name, value)
+        yield
+    finally:
+        for (module, name), value in before.items():
+            setattr(module, name, value)
+
+
+def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
+    """Tables whose cells state the figure on each half."""
+    halves = list(measured.values())
+    across = [
+        (rule, *(_both_halves(half[rule]["across"][name] for half in halves) for name in ACROSS), shut)
+        for rule in halves[0]
+        for shut in [_both_halves(half[rule]["shut"] for half in halves) if "shut" in halves[0][rule] else ""]
+    ]
+    yield Table("Across clips of strangers", ("rule", *ACROSS, "lips shut"), across)
+    moving = [name for name in THRESHOLDS if all(name in half["as it is"]["within"] for half in halves)]
+    for title, which in (("correlation", 1), ("slope", 2)):
+        rows = [
+            (rule, *(_both_halves(half[rule]["within"][name][which] for half in halves) for name in moving))
+            for rule, found in halves[0].items()
+            if "within" in found
+        ]
+        yield Table(f"Within clips of strangers, {title}", ("rule", *moving), rows)
+
+
+def _both_halves(values: Iterable[float]) -> str:
+    return " / ".join(f"{value:.2f}" for value in values)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
