@@ -29,6 +29,7 @@ from ..settings.values import (
     is_tracked,
     open_sender,
     open_source,
+    people_of,
     pose_targets,
 )
 from .live import LiveSession, follow_viewer, open_vertices, open_viewer
@@ -87,7 +88,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         source,
         heads,
         neutral=neutral,
-        options=_live_options(settings),
+        options=_live_options(settings, objects),
         on_calibrated=keep_calibration,
         on_learnt=keep_calibration if live else None,
         output=output,
@@ -115,8 +116,8 @@ def _choose_senders(source: LiveSource, objects: Sequence[bpy.types.Object | Non
         source.chosen = tuple("" if obj is None else obj.facemime.sender.strip() for obj in objects)
 
 
-def _live_options(settings: FacemimeSettings) -> LiveOptions:
-    """Return the options of the worker: smoothing, preview, and the face to track."""
+def _live_options(settings: FacemimeSettings, objects: Sequence[bpy.types.Object | None]) -> LiveOptions:
+    """Return the options of the worker: smoothing, preview, and the faces to track."""
     user = preferences()
     return LiveOptions(
         smoothing=settings.smoothing,
@@ -124,6 +125,7 @@ def _live_options(settings: FacemimeSettings) -> LiveOptions:
         face=face_of(settings.source),
         tracking=read(TrackingSettings, settings),
         learn=settings.learn,
+        people=people_of(settings.source, objects),
     )
 
 
@@ -147,13 +149,14 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
                 shown.drive_by(names_of(keys))
         session.update(heads)
     session.keep = settings.keep_pose
-    if worker.options != (wanted := _live_options(settings)):
+    objects = [None if shown.gone else shown.obj for shown in session.heads]
+    if worker.options != (wanted := _live_options(settings, objects)):
         worker.options = wanted
     if any(head.options != options for head in worker.heads):
         session.update([replace(head, options=options) for head in worker.heads])
     if isinstance(worker.output, DrivenOutput):
         worker.output.options = options
-    _choose_senders(worker.source, [None if shown.gone else shown.obj for shown in session.heads])
+    _choose_senders(worker.source, objects)
     follow_viewer(session, settings)
     for shown in session.heads:
         shown.follow = _follow(settings)

@@ -80,6 +80,15 @@ class FacemimeHead(bpy.types.PropertyGroup):
             "the second the second, and so on"
         ),
     )
+    person: IntProperty(
+        name="Person",
+        description=(
+            "Person in view who drives this head, in order of appearance; 0 for whoever comes and drives no other head"
+        ),
+        default=0,
+        min=0,
+        max=99,
+    )
 
 
 @with_settings(SendSettings)
@@ -223,6 +232,7 @@ class FacemimeSource(bpy.types.PropertyGroup):
             ("LARGEST", "Largest", "Track the largest face, usually the one nearest to the camera"),
             ("LEFT", "Leftmost", "Track the face furthest to the left in the image"),
             ("RIGHT", "Rightmost", "Track the face furthest to the right in the image"),
+            ("ALL", "Everybody", "Track everybody in view; each head follows a person of its own"),
         ),
     )
     stream: PointerProperty(type=FacemimeStream)

@@ -6,6 +6,7 @@ one of its property groups has a method.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -118,7 +119,12 @@ def take_start(scene: bpy.types.Scene) -> float:
 
 def face_of(source: FacemimeSource) -> tuple[float, float] | None:
     """Return the face to track when several are in view, as for `FaceTracker.choose`; None for the largest."""
-    return _FACES[source.face]
+    return _FACES.get(source.face)
+
+
+def people_of(source: FacemimeSource, objects: Sequence[bpy.types.Object | None]) -> tuple[int, ...] | None:
+    """Return who drives each head, as for `LiveOptions.people`; None if one face drives all."""
+    return tuple(0 if obj is None else obj.facemime.person for obj in objects) if source.face == "ALL" else None
 
 
 def source_text(source: FacemimeSource) -> str:

@@ -40,7 +40,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
             _draw_camera(column, context)
         elif source.kind == "STREAM":
             _draw_stream(column, source.stream)
-            _draw_senders(column, context)
+            _draw_drivers(column, context, "sender")
         else:
             if source.kind != "SAMPLE":
                 column.prop(source, FILE_OF[source.kind])
@@ -50,6 +50,8 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
             column.prop(source, "speed")
         if source.kind not in ("TAKE", "STREAM"):
             column.prop(source, "face")
+            if source.face == "ALL":
+                _draw_drivers(column, context, "person")
             column.prop(context.scene.facemime, "detector")
         if source.kind != "STREAM":
             draw_preview(layout, chosen)
@@ -79,19 +81,19 @@ def _draw_stream(layout: bpy.types.UILayout, stream: FacemimeStream) -> None:
         layout.prop(stream, "swap")
 
 
-def _draw_senders(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the sender of each head, if several are driven."""
+def _draw_drivers(layout: bpy.types.UILayout, context: bpy.types.Context, chosen: str) -> None:
+    """Draw the property `chosen` of each head, which states who drives it, if several are driven."""
     session = running()
     heads = heads_in(context) if session is None else [shown.obj for shown in session.heads if not shown.gone]
     if len(heads) < 2:
         return
-    layout.label(text="Senders", text_ctxt=CONTEXT)
+    layout.label(text="People" if chosen == "person" else "Senders", text_ctxt=CONTEXT)
     column = layout.column(align=True)
     column.use_property_split = False
     for head in heads:
         row = column.split(factor=0.55, align=True)
         row.label(text=head.name, translate=False)
-        row.prop(head.facemime, "sender", text="", placeholder=_("Automatic"))
+        row.prop(head.facemime, chosen, text="", placeholder=_("Automatic"))
 
 
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -106,6 +106,8 @@ def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
         lines.append((_("Using the first second as the neutral face"), "TIME"))
     elif is_hidden(latest.result.landmark_confidence):
         lines.append((_hidden(), "HIDE_ON"))
+    for person, heads in sorted(latest.people.items()):
+        lines.append((_who_drives(session, _("Person {number}").format(number=person + 1), heads), "USER"))
     counts = worker.counts
     lines.append((_latency_text(session), "PREVIEW_RANGE"))
     if slowest := session.stopwatch.slowest():

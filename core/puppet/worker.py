@@ -7,8 +7,8 @@ results leave it in the same way, so that neither side waits for the other.
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from time import perf_counter
 from typing import Any
@@ -21,9 +21,11 @@ from ..errors import FacemimeError, OutputError
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
+from ..tracking.people import PeopleTracker
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
+from .casting import Casting
 from .head_drivers import HeadDrivers, LiveHead
 from .outputs import Display, Output, Recorder
 from .performer import Performer, Quality
@@ -55,6 +57,9 @@ class LiveOptions:
         How faces are found.
     learn : bool
         Whether to learn the performer meanwhile: the neutral face, unless it was calibrated, and where eyes are shut.
+    people : tuple of int or None
+        For each head, the number of the person who drives it, from 1 in order of appearance, or 0 for whoever has no
+        head yet; None to track one face, which drives all heads.
     """
 
     smoothing: float = PuppetSettings.smoothing
@@ -62,6 +67,7 @@ class LiveOptions:
     face: tuple[float, float] | None = None
     tracking: TrackingSettings = DEFAULTS
     learn: bool = True
+    people: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -84,6 +90,8 @@ class LiveResult:
         `time.perf_counter()` when the frame arrived, and when the worker had the frame, the landmarks, and the heads.
     preview : (H, W, 4) float32 or None
         As from `draw_preview`; None without a preview.
+    people : mapping of int to tuple of int
+        If everybody is tracked, the numbers of the people in view, from 0, and of the heads that each drives.
     """
 
     number: int
@@ -96,6 +104,7 @@ class LiveResult:
     tracked: float
     driven: float
     preview: NDArray[np.float32] | None = None
+    people: Mapping[int, tuple[int, ...]] = field(default_factory=dict)
 
 
 @dataclass
@@ -171,6 +180,8 @@ class LiveWorker:
         self._size: tuple[int, ...] = ()
         self._face: tuple[float, float] | None = None
         self._next_face = False
+        self._people: PeopleTracker | None = None
+        self._casting = Casting()
         self.model = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
@@ -310,26 +321,75 @@ class LiveWorker:
     def _frame(self, tracker: FaceTracker, frame: LiveFrame) -> None:
         began = perf_counter()
         options = self.options
-        seen = self._tracked(tracker, frame, options)
-        performer = self._performer_of(frame)
-        if not frame.filled:
-            self._record(frame, seen)
+        people: dict[int, tuple[int, ...]] = {}
+        if frame.image is None or frame.result is not None or options.people is None:
+            faces = [(frame, self._tracked(tracker, frame, options))]
+        else:
+            faces, people = self._everybody(tracker, frame, options.people)
         learn = options.learn and not self.source.complete
-        result = performer.add(frame, seen, smoothing=options.smoothing, learn=learn)
+        results = []
+        for one, seen in faces:
+            performer = self._performer_of(one)
+            if not one.filled:
+                self._record(one, seen)
+            results.append((one, performer, performer.add(one, seen, smoothing=options.smoothing, learn=learn)))
         tracked = perf_counter()
-        if self.output is not None and performer is self._first:
-            self.output.send(frame.time, result, performer.neutral, frame.image_size)
-        heads, prepared = self._drivers.drive(self.heads, performer.neutral, result, frame.heads)
+        heads: tuple[HeadFrame, ...] = ()
+        prepared: tuple[Any, ...] = ()
+        for one, performer, result in results:
+            if self.output is not None and performer is self._first:
+                self.output.send(one.time, result, performer.neutral, one.image_size)
+            heads, prepared = self._drivers.drive(self.heads, performer.neutral, result, one.heads)
         driven = perf_counter()
         for display in self.displays:
             display.show(frame.taken, self._drivers.drivers, heads)
-        first = self._first.result or result
-        preview = draw_preview(frame.image, first, options.preview) if options.preview else None
+        first = self._first.result or results[0][2]
+        shown = [result for _, _, result in results] if people else [first]
+        preview = draw_preview(frame.image, shown, options.preview) if options.preview else None
         self.counts.tracked += 1
-        self.counts.lost += not result.found
+        self.counts.lost += not any(result.found for _, _, result in results)
         self.latest = LiveResult(
-            self.counts.tracked, frame.time, first, heads, prepared, frame.taken, began, tracked, driven, preview
+            self.counts.tracked,
+            frame.time,
+            first,
+            heads,
+            prepared,
+            frame.taken,
+            began,
+            tracked,
+            driven,
+            preview,
+            people,
         )
+
+    def _everybody(
+        self, tracker: FaceTracker, frame: LiveFrame, wanted: tuple[int, ...]
+    ) -> tuple[list[tuple[LiveFrame, TrackResult]], dict[int, tuple[int, ...]]]:
+        """Track everybody in a frame.
+
+        Returns
+        -------
+        faces : list of (LiveFrame, TrackResult)
+            The frame and the result of each person who drives heads; of nobody if no one does yet.
+        people : dict of int to tuple of int
+            The heads of each person in view.
+        """
+        assert frame.image is not None
+        tracker.settings = self.options.tracking
+        if self._people is None or frame.image.shape != self._size:
+            tracker.reset()
+            self._people, self._casting, self._size = PeopleTracker(tracker), Casting(), frame.image.shape
+        results = self._people.track(frame.image)
+        cast = self._casting.cast(wanted, results, frame.time)
+        nothing = TrackResult.nothing(tracker.pdm.n_modes)
+        faces = [
+            (
+                replace(frame, performer=person, heads=heads, sender=f"Person {person + 1}"),
+                results.get(person, nothing),
+            )
+            for person, heads in cast.items()
+        ]
+        return faces or [(frame, nothing)], {person: cast.get(person, ()) for person in results}
 
     def _performer_of(self, frame: LiveFrame) -> Performer:
         """Return the performer in a frame."""
@@ -344,8 +404,9 @@ class LiveWorker:
             return frame.result
         assert frame.image is not None
         tracker.settings, face = options.tracking, options.face
-        if frame.image.shape != self._size or face != self._face:
+        if frame.image.shape != self._size or face != self._face or self._people is not None:
             tracker.reset()
+            self._people = None
             self._first.change()
             self._size, self._face = frame.image.shape, face
             if face is not None:

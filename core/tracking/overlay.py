@@ -114,15 +114,15 @@ def _scaled(image: Image, landmarks: FloatArray, scale: float, centre: FloatArra
     return draw_landmarks(np.asarray(scaled, dtype=np.uint8), scale * landmarks + offset)
 
 
-def draw_preview(image: Image | None, result: TrackResult, width: int) -> NDArray[np.float32] | None:
+def draw_preview(image: Image | None, results: Sequence[TrackResult], width: int) -> NDArray[np.float32] | None:
     """Draw a small preview of a frame, its landmarks coloured by confidence from red to green.
 
     Parameters
     ----------
     image : (H, W, 3) uint8 or None
         BGR.
-    result : TrackResult
-        Result of that frame.
+    results : sequence of TrackResult
+        Faces in that frame.
     width : int
         Width of the preview in pixels.
 
@@ -136,7 +136,9 @@ def draw_preview(image: Image | None, result: TrackResult, width: int) -> NDArra
     scale = width / image.shape[1]
     size = (width, max(1, round(image.shape[0] * scale)))
     canvas = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
-    if result.found:
+    for result in results:
+        if not result.found:
+            continue
         sure = np.sqrt(np.nan_to_num(result.landmark_confidence, nan=1.0))[:, None]
         colours = (1.0 - sure) * _GUESSED + sure * _SURE
         fixed = np.round(np.clip(scale * result.landmarks, -1e4, 1e4) * (1 << _SHIFT)).astype(np.int32)

@@ -252,13 +252,16 @@ def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator
     ]
     yield Table("Across clips of strangers", ("rule", *ACROSS, "lips shut"), across)
     moving = [name for name in THRESHOLDS if all(name in half["as it is"]["within"] for half in halves)]
-    for title, which in (("correlation", 1), ("slope", 2)):
-        rows = [
-            (rule, *(_both_halves(half[rule]["within"][name][which] for half in halves) for name in moving))
-            for rule, found in halves[0].items()
-            if "within" in found
-        ]
-        yield Table(f"Within clips of strangers, {title}", ("rule", *moving), rows)
+    within_rows = [
+        (what, *(_both_halves(half[rule]["within"][name][which] for half in halves) for name in moving))
+        for what, rule, which in (
+            ("correlation", "as it is", 1),
+            ("slope", "as it is", 2),
+            ("slope, lips without gains", "lips without gains", 2),
+        )
+        if rule in halves[0]
+    ]
+    yield Table("Within clips of strangers", ("figure", *moving), within_rows)
 
 
 def _both_halves(values: Iterable[float]) -> str:
