@@ -134,6 +134,7 @@ shipped tables have at most 5 names of another in common (Daz's are ARKit's).
 """
 
 
+@lru_cache(maxsize=1 << 14)
 def normalised(name: str) -> str:
     """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
     name = unicodedata.normalize("NFKC", name)

@@ -12,7 +12,6 @@ import facemime
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.new_heads import add_head
 from facemime.core.puppet.sources import PacedSource
-from facemime.core.takes.face_space import FaceSpace
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions.session import Session
@@ -51,22 +50,6 @@ def _registered(_own_documents):
     gc.freeze()  # collecting garbage need not look at the modules each time
     yield
     facemime.unregister()
-
-
-@pytest.fixture(scope="session", autouse=True)
-def _each_performance_explained_once():
-    """Keep the slowest part of a calibration, as most tests calibrate the same performance."""
-    explain, known = FaceSpace.explain, {}
-
-    def explained(space, shapes, weights):
-        key = id(space), shapes.tobytes(), weights.tobytes()
-        if key not in known:
-            known[key] = explain(space, shapes, weights)
-        return known[key].copy()
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(FaceSpace, "explain", explained)
-        yield
 
 
 @pytest.fixture(autouse=True)
