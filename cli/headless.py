@@ -24,7 +24,7 @@ from ..blender.timeline import frames_of
 from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
-from ..core.drive.motion import select_distinct_frames
+from ..core.drive.driver import select_distinct_frames
 from ..core.errors import OutputError, SourceError
 from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
 from ..core.files.reading import read_text

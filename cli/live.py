@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
-from ..core.puppet.head_drivers import LiveHead
 from ..core.puppet.job import HeadFile
+from ..core.puppet.outputs import LiveHead
 from ..core.puppet.worker import LiveWorker
 from ..core.streams.sender import SENT, VTUBE_STUDIO, StreamSender
 from ..core.streams.stream_settings import EXPRESSIONS, OWN, SendSettings

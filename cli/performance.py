@@ -13,8 +13,8 @@ from ..core.heads.appearance import Appearance, built_in_appearance
 from ..core.heads.key_map import ESSENTIAL
 from ..core.heads.rig import built_in_head
 from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
-from ..core.puppet.head_drivers import LiveHead
 from ..core.puppet.job import HeadFile
+from ..core.puppet.outputs import LiveHead
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.puppet.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.puppet.worker import LiveOptions, LiveWorker

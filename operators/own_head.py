@@ -19,10 +19,10 @@ from ..blender.heads.binding import (
     turn_note,
     write_marks,
 )
-from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.openings import open_eyes, open_lips
+from ..blender.heads.placing import FormerBinding
 from ..blender.meshes import mesh_of, read_places
 from ..blender.messages import translated
 from ..blender.preview_scene import face_points, look_at_face

@@ -9,9 +9,16 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.contexts import in_a_window
-from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.face_display import FaceDisplay
-from ..blender.heads.placing import NEAR, Placing, landmark_places, marks_to_ask, nearest_landmark, skin_under
+from ..blender.heads.placing import (
+    NEAR,
+    FormerBinding,
+    Placing,
+    landmark_places,
+    marks_to_ask,
+    nearest_landmark,
+    skin_under,
+)
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import Viewport, redraw, viewport_under
 from ..core.control_points.select import parse_landmarks

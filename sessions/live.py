@@ -20,8 +20,7 @@ from ..blender.messages import show_error
 from ..core.drive.driver import HeadFrame
 from ..core.errors import FacemimeError, Message, OutputError
 from ..core.heads.appearance import Appearance
-from ..core.puppet.head_drivers import LiveHead
-from ..core.puppet.outputs import Output
+from ..core.puppet.outputs import LiveHead, Output
 from ..core.puppet.sources import LiveSource
 from ..core.puppet.timing import Delays, Stopwatch
 from ..core.puppet.worker import LiveOptions, LiveResult, LiveWorker

@@ -21,8 +21,8 @@ from ..blender.timeline import frames_of, seconds_of
 from ..blender.viewports import redraw
 from ..core.drive.driver import HeadDriver
 from ..core.errors import FacemimeError, HeadError
-from ..core.puppet.head_drivers import KeyDriver, LiveKeys
-from ..core.puppet.performance import Performance
+from ..core.puppet.outputs import KeyDriver, LiveKeys
+from ..core.puppet.performer import Performance
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take
 from ..settings.values import place_take, pose_targets, puppet_settings

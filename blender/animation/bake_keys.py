@@ -15,7 +15,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.reduction import MotionBasis
+from ...core.bake.fit import MotionBasis
 from ...core.errors import HeadError
 from ...core.heads.key_map import ESSENTIAL, best_preset
 from ..actions import Curve, remove_bake, remove_curves, write_curves

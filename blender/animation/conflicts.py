@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 import bpy
 import numpy as np
 
-from ...core.drive.motion import HeadMotion
+from ...core.drive.driver import HeadMotion
 from ...core.errors import Message
 from ..characters import Member, members_of, objects_of
 from ..meshes import armature_data, key_names, key_offsets, keys_of, mesh_of

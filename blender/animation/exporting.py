@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.point_cache import in_between, write_point_cache
-from ...core.drive.motion import HeadMotion
+from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError, OutputError
 from ...core.files.writing import replacing
 from ..characters import Member, objects_of

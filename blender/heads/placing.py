@@ -1,14 +1,17 @@
-"""Places of landmarks in a viewport, where landmarks and marked points are placed by hand."""
+"""Places of landmarks in a viewport, where landmarks and marked points are placed by hand; the binding of a character
+as it was, so that one that was just found can be taken back.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
 from bpy_extras import view3d_utils
-from mathutils import Vector
+from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
@@ -16,10 +19,28 @@ from ...core.face.landmarks import from_ibug
 from ...core.heads.bind import MARKS, MIN_MARKS
 from ...core.heads.rig import Part
 from ...core.numeric import linalg
-from ..characters import read_kinds
-from ..meshes import is_head, mesh_of, object_of, read_landmarks, read_regions, write_landmarks
+from ..characters import read_kinds, write_kinds
+from ..meshes import (
+    is_head,
+    mesh_of,
+    object_of,
+    read_landmarks,
+    read_regions,
+    read_weights,
+    write_landmarks,
+    write_regions,
+)
+from ..names import MARKS_PROPERTY, REGION_GROUPS
 from ..viewports import Viewport
-from .binding import VertexTakenError, move_landmark, propose_head_regions, proposed_weights, read_marks, write_marks
+from .binding import (
+    VertexTakenError,
+    move_landmark,
+    propose_head_regions,
+    proposed_weights,
+    read_marks,
+    turn_mesh,
+    write_marks,
+)
 
 NEAR = 24.0
 """Maximum distance of a click from a landmark, pixels at a resolution scale of 1."""
@@ -27,6 +48,7 @@ _EASY_FIRST = (36, 45, 48, 54, 30, 8, 39, 42)
 """iBUG numbers of `MARKS`, in the order in which users are asked for them: four that lie far apart come first."""
 _BEFORE = 10.0
 """Distance before the middle of an orthographic view at which a ray starts, relative to that of the view."""
+_OURS = "facemime_"
 
 
 class Places(NamedTuple):
@@ -262,3 +284,70 @@ def _nearest(obj: bpy.types.Object, evaluated: bpy.types.Object, place: Vector) 
     if (kinds == Part.SKIN).any():
         squared[kinds != Part.SKIN] = np.inf
     return int(squared.argmin())
+
+
+@dataclass(frozen=True, eq=False)
+class _Bound:
+    """What was stored with an object, and where it was."""
+
+    name: str
+    matrix: Matrix
+    own: dict[str, Any]
+    of_mesh: dict[str, Any]
+    kinds: NDArray[np.int8]
+    weights: NDArray[np.float32] | None
+
+
+class FormerBinding:
+    """The landmarks, regions and parts of all meshes of a scene, and what was selected."""
+
+    def __init__(self, context: bpy.types.Context) -> None:
+        context.view_layer.update()
+        self._meshes = [
+            _bound(obj) for obj in context.scene.objects if obj.type == "MESH" and mesh_of(obj).library is None
+        ]
+        self._selected = [obj.name for obj in context.selected_objects]
+        self._active = "" if context.active_object is None else context.active_object.name
+
+    def restore(self, context: bpy.types.Context) -> None:
+        """Restore the binding and the selection; marks that the user made since are kept."""
+        for former in self._meshes:
+            obj = context.scene.objects.get(former.name)
+            if obj is not None and obj.type == "MESH" and len(mesh_of(obj).vertices) == len(former.kinds):
+                _restore(obj, former)
+        for obj in context.view_layer.objects:
+            obj.select_set(obj.name in self._selected)
+        context.view_layer.objects.active = context.view_layer.objects.get(self._active)
+
+
+def _bound(obj: bpy.types.Object) -> _Bound:
+    regions = all(name in obj.vertex_groups for name in REGION_GROUPS)
+    weights = read_weights(obj, slice(None)) if regions else None
+    return _Bound(obj.name, obj.matrix_world.copy(), _ours(obj), _ours(mesh_of(obj)), read_kinds(mesh_of(obj)), weights)
+
+
+def _ours(owner: bpy.types.ID) -> dict[str, Any]:
+    found = {}
+    for key, value in owner.items():
+        if key.startswith(_OURS) and key != MARKS_PROPERTY:
+            plain = value.to_dict() if hasattr(value, "to_dict") else value
+            found[key] = plain.to_list() if hasattr(plain, "to_list") else plain
+    return found
+
+
+def _restore(obj: bpy.types.Object, former: _Bound) -> None:
+    for owner, stored in ((obj, former.own), (mesh_of(obj), former.of_mesh)):
+        for key in _ours(owner):
+            del owner[key]
+        for key, value in stored.items():
+            owner[key] = value
+    write_kinds(mesh_of(obj), former.kinds)
+    turn = np.array((former.matrix.inverted_safe() @ obj.matrix_world).to_quaternion().to_matrix())
+    if not np.allclose(turn, np.eye(3), atol=1e-5):
+        turn_mesh(obj, turn)
+    if former.weights is not None:
+        write_regions(obj, former.weights)
+        return
+    for name in REGION_GROUPS:
+        if (group := obj.vertex_groups.get(name)) is not None:
+            obj.vertex_groups.remove(group)

@@ -24,8 +24,7 @@ from ..tracking.overlay import draw_preview
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
-from .head_drivers import HeadDrivers, LiveHead
-from .outputs import Display, Output, Recorder
+from .outputs import Display, HeadDrivers, LiveHead, Output, Recorder
 from .performer import Performer, Quality
 from .puppet_settings import PuppetSettings
 from .sources import LiveFrame, LiveSource

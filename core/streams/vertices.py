@@ -22,7 +22,7 @@ from ..heads.appearance import Appearance
 from ..heads.rig import HeadRig
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from ..puppet.head_drivers import KeyDriver
+from ..puppet.outputs import KeyDriver
 from ..takes.measured import FacePoints, PointTracker
 from ..takes.neutral import Neutral
 from .links import LENGTH

@@ -26,7 +26,7 @@ from websockets.server import ServerProtocol
 
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
-from ..puppet.head_drivers import KeyDriver
+from ..puppet.outputs import KeyDriver
 from ..streams.transport.addresses import cannot_listen
 from ..streams.transport.background import Serving, listening
 from .gate import MAX_CONNECTIONS, Gate, Guest

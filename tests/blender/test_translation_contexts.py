@@ -8,8 +8,7 @@ import pytest
 
 import facemime.registration as registration
 from facemime.blender.heads.new_heads import add_head
-from facemime.blender.messages import CONTEXT, interface, load_languages
-from facemime.ui.translations import texts
+from facemime.blender.messages import CONTEXT, interface, load_languages, texts
 
 CLASSES = [cls for module in registration._MODULES for cls in getattr(module, "CLASSES", ())]
 TYPES = (bpy.types.Operator, bpy.types.Panel, bpy.types.Menu)

@@ -17,7 +17,7 @@ from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, lid
 from facemime.core.files.capture import VideoSource
 from facemime.core.heads.rig import built_in_head
 from facemime.core.puppet import worker as worker_module
-from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.performer import RangeCalibration
 from facemime.core.puppet.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
 from facemime.core.puppet.timing import STAGES, Delays, Stopwatch

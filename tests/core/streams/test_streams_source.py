@@ -17,7 +17,7 @@ from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import SourceError
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, N_COEFFICIENTS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.sources import LiveFrame
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.streams.playout import EASE, HOLD
