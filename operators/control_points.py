@@ -70,7 +70,6 @@ class _SelectsPoints(OnMesh):
 class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.Operator):
     """Select the landmarks that control the active head in a take; the others follow them"""
 
-    bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
 
     take: IntProperty(
@@ -95,7 +94,6 @@ class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.O
 class FACEMIME_OT_select_live_points(_SelectsPoints, bpy.types.Operator):
     """Select the control points from the last seconds of the puppet; make varied expressions for a few seconds first"""
 
-    bl_idname = "facemime.select_live_points"
     bl_label = "Select from Live"
 
     @classmethod
@@ -124,7 +122,6 @@ class _OnLandmark(OnHead):
 class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
     """Make the selected landmark a control point"""
 
-    bl_idname = "facemime.add_control_point"
     bl_label = "Add Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -138,7 +135,6 @@ class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
 class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
     """Remove the selected landmark from the control points, so that it follows the others"""
 
-    bl_idname = "facemime.drop_control_point"
     bl_label = "Remove Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -149,7 +145,6 @@ class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
 class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
     """Select a landmark by clicking on the head"""
 
-    bl_idname = "facemime.pick_landmark"
     bl_label = "Pick on Head"
     bl_options = {"REGISTER"}
 
@@ -204,18 +199,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
 class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     """Make all 66 landmarks control points of the active head"""
 
-    bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"
 
     def work(self, context: bpy.types.Context) -> None:
         write_selection(mesh_of(subject(context)), None)
-
-
-CLASSES = (
-    FACEMIME_OT_select_control_points,
-    FACEMIME_OT_select_live_points,
-    FACEMIME_OT_use_all_landmarks,
-    FACEMIME_OT_add_control_point,
-    FACEMIME_OT_drop_control_point,
-    FACEMIME_OT_pick_landmark,
-)

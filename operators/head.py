@@ -26,7 +26,6 @@ from .steps import WorksInSteps
 class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     """Add a head that is ready to be driven, with landmarks, regions, eyes, teeth and a tongue"""
 
-    bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
 
     person: EnumProperty(
@@ -84,7 +83,6 @@ def _frame_selected(context: bpy.types.Context) -> None:
 class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
     """Import a FaceGen head: a .tri file with its morphs and the .egm file next to it, or an OBJ file"""
 
-    bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
 
     filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
@@ -105,7 +103,6 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
     """Export the selected heads as glTF, with parts, bones, shape keys, and the frame range as one animation"""
 
-    bl_idname = "facemime.export_gltf"
     bl_label = "Export glTF"
 
     filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
@@ -120,10 +117,3 @@ class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
         path = self.path_ending(SUFFIX)
         export_gltf(heads_in(context), path)
         report(self, "Written to {path}", path=path)
-
-
-CLASSES = (
-    FACEMIME_OT_add_head,
-    FACEMIME_OT_import_facegen,
-    FACEMIME_OT_export_gltf,
-)

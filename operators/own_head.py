@@ -91,7 +91,6 @@ def _turn_to_face(context: bpy.types.Context) -> bool:
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Mark the vertex selected in Edit Mode as a point of the face; mark at least four points, then use Find Face"""
 
-    bl_idname = "facemime.mark_point"
     bl_label = "Mark Point"
 
     point: EnumProperty(
@@ -108,7 +107,6 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     """Clear all marked points"""
 
-    bl_idname = "facemime.clear_marks"
     bl_label = "Clear Marks"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -118,7 +116,6 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
     """Drive the character by its existing shape keys, such as ARKit's or VRM's, without landmarks"""
 
-    bl_idname = "facemime.bind_keys"
     bl_label = "Use Its Shape Keys"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -134,7 +131,6 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
 class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.types.Operator):
     """Find the face of the selected character, and create its regions; without marks, it may face along any axis"""
 
-    bl_idname = "facemime.bind_landmarks"
     bl_label = "Find Face"
 
     def status(self) -> str:
@@ -175,7 +171,6 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     """Move one landmark to the vertex selected in Edit Mode"""
 
-    bl_idname = "facemime.set_landmark"
     bl_label = "Set Landmark"
 
     number: IntProperty(name="Landmark", description="iBUG number of the landmark, except 60 and 64", min=0, max=67)
@@ -190,7 +185,6 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     """Replace the three regions with weights derived from the landmarks and the openings of the eyes and mouth"""
 
-    bl_idname = "facemime.propose_regions"
     bl_label = "Reset Regions"
 
     @classmethod
@@ -205,7 +199,6 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     """Check this head for problems, and list its parts and bones"""
 
-    bl_idname = "facemime.check_head"
     bl_label = "Check Head"
     bl_options = {"REGISTER"}
 
@@ -219,7 +212,6 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     """Cut the mesh between joined lips, such as those of a scan, so that the mouth can open"""
 
-    bl_idname = "facemime.open_lips"
     bl_label = "Open Lips"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -231,7 +223,6 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
 class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     """Cut the mesh along eyelids that are joined to the eyes, such as those of a scan, so that they can close"""
 
-    bl_idname = "facemime.open_eyes"
     bl_label = "Open Eyes"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -243,16 +234,3 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
             count=count,
         )
         _report_findings(self, context)
-
-
-CLASSES = (
-    FACEMIME_OT_mark_point,
-    FACEMIME_OT_clear_marks,
-    FACEMIME_OT_bind_keys,
-    FACEMIME_OT_bind_landmarks,
-    FACEMIME_OT_set_landmark,
-    FACEMIME_OT_propose_regions,
-    FACEMIME_OT_check_head,
-    FACEMIME_OT_open_lips,
-    FACEMIME_OT_open_eyes,
-)

@@ -153,7 +153,6 @@ def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: View
 class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
     """Drag landmarks to their places on the head; Enter accepts, Esc discards"""
 
-    bl_idname = "facemime.adjust_landmarks"
     bl_label = "Adjust Landmarks"
 
     def begin(self, obj: bpy.types.Object) -> Placing:
@@ -192,7 +191,6 @@ class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
 class FACEMIME_OT_mark_face(_PlacesPoints, OnMesh, bpy.types.Operator):
     """Click the requested points of the face one by one, then find the face from them"""
 
-    bl_idname = "facemime.mark_face"
     bl_label = "Mark Face"
 
     points: StringProperty(name="Points", description="Points to ask for, by iBUG number; empty for all")
@@ -261,7 +259,6 @@ class _EndsPlacing(ReportsErrors):
 class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
     """Keep the points as they are now"""
 
-    bl_idname = "facemime.accept_points"
     bl_label = "Accept"
 
     def end(self, placing: Placing) -> None:
@@ -271,16 +268,7 @@ class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
 class FACEMIME_OT_discard_points(_EndsPlacing, bpy.types.Operator):
     """Move the points back to where they were"""
 
-    bl_idname = "facemime.discard_points"
     bl_label = "Discard"
 
     def end(self, placing: Placing) -> None:
         placing.discard()
-
-
-CLASSES = (
-    FACEMIME_OT_adjust_landmarks,
-    FACEMIME_OT_mark_face,
-    FACEMIME_OT_accept_points,
-    FACEMIME_OT_discard_points,
-)

@@ -22,7 +22,6 @@ _STATUS_INTERVAL = 0.25
 class FACEMIME_OT_choose_camera(bpy.types.Operator):
     """Use this camera and save it in the preferences"""
 
-    bl_idname = "facemime.choose_camera"
     bl_label = "Choose Camera"
     bl_options = {"INTERNAL"}
 
@@ -69,7 +68,6 @@ def start_puppet() -> None:
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     """Drive the active head and all other selected heads with the face in the source; Esc in the viewport stops it"""
 
-    bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
 
@@ -196,7 +194,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_stop_puppet(bpy.types.Operator):
     """Stop the puppet; the heads return to rest, unless Keep Pose is enabled"""
 
-    bl_idname = "facemime.stop_puppet"
     bl_label = "Stop Puppet"
     bl_options = {"REGISTER"}
 
@@ -221,7 +218,6 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
 class FACEMIME_OT_next_face(bpy.types.Operator):
     """Track the next face to the right; after the last one, the leftmost"""
 
-    bl_idname = "facemime.next_face"
     bl_label = "Next Face"
     bl_options = {"REGISTER"}
 
@@ -274,11 +270,3 @@ def _painting(context: bpy.types.Context) -> bool:
     return window is not None and any(
         op is not None and op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators
     )  # an operator that has just ended leaves None
-
-
-CLASSES = (
-    FACEMIME_OT_choose_camera,
-    FACEMIME_OT_puppet,
-    FACEMIME_OT_stop_puppet,
-    FACEMIME_OT_next_face,
-)

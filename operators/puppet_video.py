@@ -23,7 +23,6 @@ _TICK = 0.1
 class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     """Track the face in a video, keep it as a take, and bake it to the active head and all other selected heads"""
 
-    bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
 
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
@@ -139,7 +138,6 @@ def _heads(context: bpy.types.Context, first: bpy.types.Object) -> list[bpy.type
 class FACEMIME_OT_stop_tracking(bpy.types.Operator):
     """Stop tracking, keep the frames tracked so far as a take, and bake them"""
 
-    bl_idname = "facemime.stop_tracking"
     bl_label = "Stop Tracking"
     bl_options = {"INTERNAL"}
 
@@ -154,6 +152,3 @@ class FACEMIME_OT_stop_tracking(bpy.types.Operator):
         if session is not None:
             session.stop()
         return {"FINISHED"}
-
-
-CLASSES = (FACEMIME_OT_puppet_video, FACEMIME_OT_stop_tracking)

@@ -316,18 +316,6 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     viewer: PointerProperty(type=FacemimeViewer)
 
 
-CLASSES = (
-    FacemimeStream,
-    FacemimeHead,
-    FacemimeOutput,
-    FacemimeViewer,
-    FacemimeSource,
-    FacemimePosing,
-    FacemimePerformer,
-    FacemimeSettings,
-)
-
-
 POINTERS = (
     (bpy.types.Object, "facemime", FacemimeHead),
     (bpy.types.Scene, "facemime", FacemimeSettings),

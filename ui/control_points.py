@@ -184,9 +184,6 @@ def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bp
     column.prop(steps, "only_chosen", text="", icon="FILTER")
 
 
-CLASSES = (FACEMIME_MT_select_from_take, FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
-
-
 def register() -> None:
     """Create the collection of icons."""
     _Icons.previews = bpy.utils.previews.new()

@@ -313,17 +313,3 @@ def unregister() -> None:
     """Remove the collection of icons."""
     bpy.utils.previews.remove(_Icons.previews)
     _Icons.previews, _Icons.address = None, ""
-
-
-CLASSES = (
-    FACEMIME_MT_remove_preset,
-    FACEMIME_MT_presets,
-    FACEMIME_PT_expression,
-    FACEMIME_PT_fit,
-    FACEMIME_PT_puppet,
-    FACEMIME_PT_pose,
-    FACEMIME_PT_send,
-    FACEMIME_PT_incoming,
-    FACEMIME_PT_bake,
-    FACEMIME_PT_viewer,
-)

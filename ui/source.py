@@ -165,11 +165,3 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
             layout.progress(factor=passed, text=countdown_text(session), translate=False)
         elif (quality := session.worker.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
-
-
-CLASSES = (
-    FACEMIME_MT_cameras,
-    FACEMIME_PT_source,
-    FACEMIME_UL_performers,
-    FACEMIME_PT_calibration,
-)

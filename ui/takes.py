@@ -200,13 +200,3 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         added = _("Add Pose ({count} added)").format(count=len(bake.poses))
         column.operator("facemime.add_key_pose", text=added, translate=False, icon="ADD")
         column.operator("facemime.learn_key_map", icon="CURVE_DATA")
-
-
-CLASSES = (
-    FACEMIME_UL_takes,
-    FACEMIME_UL_key_rows,
-    FACEMIME_MT_takes,
-    FACEMIME_PT_takes,
-    FACEMIME_PT_take_bake,
-    FACEMIME_PT_key_map,
-)
