@@ -35,6 +35,15 @@ def _scipy() -> Any:
     return scipy.linalg
 
 
+@cache
+def sparse() -> Any:
+    """Load scipy's sparse matrices and algorithms on graphs, in the same way."""
+    _scipy()
+    import scipy.sparse.csgraph
+
+    return scipy.sparse
+
+
 def _full_path(path: str) -> str:
     return os.path.normcase(os.path.realpath(path))
 
