@@ -134,11 +134,6 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
     return obj
 
 
-def _position_of(obj: bpy.types.Object, vertex: int) -> FloatArray:
-    """Return the position of a vertex in the scene, (3,)."""
-    return np.asarray(_in_scene(obj)[vertex])
-
-
 def _in_scene(obj: bpy.types.Object) -> FloatArray:
     matrix = np.array(obj.matrix_world)
     places = np.asarray(to_blender(read_vertices(mesh_of(obj))), dtype=np.float64)
@@ -178,11 +173,11 @@ class BoundCharacter:
         """Return what to do if this may not be the face, and where the points that matter are now; "" if it is."""
         if self.binding is None or not self.binding.doubt:
             return ""
-        landmarks = read_landmarks(self.head)
-        places = {
-            number: _position_of(self.head, int(landmarks[from_ibug([number])[0]])) for number in self.binding.wanted
-        }
-        now = " ".join(f"--mark {number}={','.join(f'{value:.4g}' for value in at)}" for number, at in places.items())
+        places = _in_scene(self.head)[read_landmarks(self.head)[from_ibug(self.binding.wanted)]]
+        now = " ".join(
+            f"--mark {number}={','.join(f'{value:.4g}' for value in at)}"
+            for number, at in zip(self.binding.wanted, places, strict=True)
+        )
         return f"{self.binding.doubt}. They are at: {now}"
 
     def table(self) -> str:

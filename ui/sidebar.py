@@ -1,13 +1,14 @@
 """Base class, order and layout helpers of the panels in the sidebar tab."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import blf
 import bpy
 
 from ..blender.meshes import is_head
 from ..blender.messages import interface, translated
-from ..blender.stubs import Icon, PanelMixin
+from ..blender.stubs import Icon, ListMixin, PanelMixin
 from ..operators.shared import required_subject, subject
 from .documentation import draw_link
 from .drawing import wrap
@@ -56,6 +57,28 @@ class OnHead(Sidebar):
         """Require an active head."""
         obj = subject(context)
         return obj is not None and is_head(obj)
+
+
+class List(ListMixin):
+    """Mixin: a list whose items are drawn by `draw_row`."""
+
+    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.bpy_struct,
+        item: Any,
+        icon: int,
+        active_data: bpy.types.bpy_struct,
+        active_property: str,
+        index: int,
+    ) -> None:
+        """Draw one item."""
+        self.draw_row(context, layout, item, index)
+
+    def draw_row(self, context: bpy.types.Context, layout: bpy.types.UILayout, item: Any, index: int) -> None:
+        """Draw one item, given its place in the list."""
+        raise NotImplementedError
 
 
 def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: Icon = "NONE") -> None:

@@ -17,7 +17,7 @@ from ..settings.performers import calibration_of, stored_performers
 from ..settings.preferences import draw_camera, draw_preview, preferences
 from ..settings.properties import FacemimePerformer, FacemimeStream
 from ..settings.values import FILE_OF
-from .sidebar import Sidebar, draw_list, labels, place, split_labels
+from .sidebar import List, Sidebar, draw_list, labels, place, split_labels
 from .status import countdown_text
 
 _NUMBERED_CAMERAS = 4
@@ -120,18 +120,11 @@ class FACEMIME_MT_cameras(bpy.types.Menu):
             self.layout.operator("facemime.choose_camera", text=camera, translate=False).camera = camera
 
 
-class FACEMIME_UL_performers(bpy.types.UIList):
+class FACEMIME_UL_performers(List, bpy.types.UIList):
     """List of performers, with a tick for those that are calibrated."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimePerformer,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
+    def draw_row(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimePerformer, index: int
     ) -> None:
         """Draw one performer."""
         layout.prop(item, "name", text="", emboss=False, icon="CHECKMARK" if calibration_of(item) else "USER")

@@ -12,25 +12,15 @@ from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
 from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake, table_so_far
-from .sidebar import Sidebar, draw_list, labels, place, split_labels
+from .sidebar import List, Sidebar, draw_list, labels, place, split_labels
 
 _MAPPED = "mapped"
 
 
-class FACEMIME_UL_takes(bpy.types.UIList):
+class FACEMIME_UL_takes(List, bpy.types.UIList):
     """List of takes: favourite, name, note, packed, duration."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimeTake,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimeTake, index: int) -> None:
         """Draw one take."""
         row = layout.row(align=True)
         row.prop(item, "star", text="", icon="SOLO_ON" if item.star else "SOLO_OFF", emboss=False)
@@ -42,19 +32,11 @@ class FACEMIME_UL_takes(bpy.types.UIList):
         row.label(text=timecode(item.length), translate=False)
 
 
-class FACEMIME_UL_key_rows(bpy.types.UIList):
+class FACEMIME_UL_key_rows(List, bpy.types.UIList):
     """List of the rows of the key mapping; the selected one has its factors below the list."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimeKeyRow,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
-        index: int,
+    def draw_row(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimeKeyRow, index: int
     ) -> None:
         """Draw one row."""
         line = layout.split(factor=0.5, align=True)

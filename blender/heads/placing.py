@@ -165,7 +165,7 @@ class Placing:
         self.name, self.asked, self.held = obj.name, tuple(asked), -1
         self._take_back = take_back
         self.discarded = False
-        self._step = 0
+        self.step = 0
         self._marks = read_marks(mesh_of(obj))
         self._landmarks = read_landmarks(obj) if is_head(obj) else None
         self._count = len(mesh_of(obj).vertices)
@@ -179,12 +179,7 @@ class Placing:
     @property
     def next_mark(self) -> int | None:
         """The point to mark next, by iBUG number; None if all are marked."""
-        return self.asked[self._step] if self._step < len(self.asked) else None
-
-    @property
-    def step(self) -> int:
-        """Number of points marked so far."""
-        return self._step
+        return self.asked[self.step] if self.step < len(self.asked) else None
 
     @property
     def enough(self) -> bool:
@@ -193,15 +188,15 @@ class Placing:
 
     def mark(self, vertex: int) -> None:
         """Mark the next point."""
-        write_marks(mesh_of(self.obj), read_marks(mesh_of(self.obj)) | {self.asked[self._step]: vertex})
-        self._step += 1
+        write_marks(mesh_of(self.obj), read_marks(mesh_of(self.obj)) | {self.asked[self.step]: vertex})
+        self.step += 1
 
     def unmark(self) -> None:
         """Clear the last mark."""
-        if self._step:
-            self._step -= 1
+        if self.step:
+            self.step -= 1
             marks = read_marks(mesh_of(self.obj))
-            marks.pop(self.asked[self._step], None)
+            marks.pop(self.asked[self.step], None)
             write_marks(mesh_of(self.obj), marks)
 
     def drag(self, vertex: int) -> None:

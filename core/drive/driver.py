@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -226,15 +225,13 @@ class HeadMotion:
     actions: FloatArray
 
 
-def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] | None = None) -> HeadMotion:
+def drive_take(driver: HeadDriver, take: Take) -> HeadMotion:
     """Drive a head by all frames of a take that have a face.
 
     Parameters
     ----------
     driver : HeadDriver
         Driver of the head.
-    on_frame : callable, optional
-        Called after each frame with the number of frames done.
 
     Raises
     ------
@@ -251,8 +248,6 @@ def drive_take(driver: HeadDriver, take: Take, on_frame: Callable[[int], None] |
         frame = driver.frame(take.result(int(index)))
         np.subtract(frame.vertices, rest, out=vertices[row])
         frames.append(frame)
-        if on_frame is not None:
-            on_frame(row + 1)
     return HeadMotion(
         times=take.times[found],
         vertices=vertices,

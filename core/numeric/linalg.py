@@ -39,7 +39,7 @@ def _scipy() -> Any:
 def sparse() -> Any:
     """Load scipy's sparse matrices and algorithms on graphs, in the same way."""
     _scipy()
-    import scipy.sparse.csgraph
+    import scipy.sparse.csgraph  # type: ignore[import-untyped]
 
     return scipy.sparse
 

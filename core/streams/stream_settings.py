@@ -10,18 +10,12 @@ from ..errors import Message, SourceError
 from ..files.setting import Choice, setting, settings_of
 from . import vertices
 from .protocols import face_cap, face_motion, ifacialmocap, live_link, openseeface, vmc, vrcfacetracking, vtube_studio
-from .protocols.face_cap import FaceCapDecoder
 from .protocols.frames import Decoder
-from .protocols.ifacialmocap import IFacialMocapDecoder
-from .protocols.live_link import ANGLES, Angles, LiveLinkDecoder
-from .protocols.openseeface import OpenSeeFaceDecoder
-from .protocols.vmc import VmcDecoder
-from .protocols.vrcfacetracking import VrcFaceTrackingDecoder
-from .protocols.vtube_studio import VTubeStudioDecoder
+from .protocols.live_link import ANGLES, Angles
 from .transport import datagram
 from .transport.addresses import EVERYWHERE, LOOPBACK, Pairing, is_loopback
 from .transport.security import read_key
-from .vertices import VERTICES, VertexDecoder
+from .vertices import VERTICES
 
 OWN = "own"
 _MIN_DELAY = 0.0
@@ -261,7 +255,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "livelink": StreamProtocol(
         "Live Link Face",
         live_link.PORT,
-        lambda s: LiveLinkDecoder(s.angles),
+        lambda s: live_link.LiveLinkDecoder(s.angles),
         description="Epic's iPhone app in ARKit mode, or Unreal Engine",
         number=1,
         sent=True,
@@ -269,7 +263,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "vmc": StreamProtocol(
         "VMC",
         vmc.PORT,
-        lambda s: VmcDecoder(),
+        lambda s: vmc.VmcDecoder(),
         description="VTuber programs that use the VMC protocol",
         number=2,
         sent=True,
@@ -277,7 +271,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "openseeface": StreamProtocol(
         "OpenSeeFace",
         openseeface.PORT,
-        lambda s: OpenSeeFaceDecoder(),
+        lambda s: openseeface.OpenSeeFaceDecoder(),
         description="OpenSeeFace's tracker, or VTuber programs that receive from it",
         number=3,
         sent=True,
@@ -285,7 +279,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "ifacialmocap": StreamProtocol(
         "iFacialMocap",
         ifacialmocap.PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.START,
         face_motion.PHONE_PORT,
@@ -295,7 +289,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "facemotion3d": StreamProtocol(
         "Facemotion3d",
         ifacialmocap.PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_START,
         face_motion.PHONE_PORT,
@@ -306,7 +300,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "vtubestudio": StreamProtocol(
         "VTube Studio, MeowFace",
         vtube_studio.PORT,
-        lambda s: VTubeStudioDecoder(),
+        lambda s: vtube_studio.VTubeStudioDecoder(),
         vtube_studio.PORT,
         vtube_studio.request,
         leased=True,
@@ -314,12 +308,16 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         number=6,
     ),
     "facecap": StreamProtocol(
-        "Face Cap", face_cap.PORT, lambda s: FaceCapDecoder(), description="The app Face Cap on an iPhone", number=7
+        "Face Cap",
+        face_cap.PORT,
+        lambda s: face_cap.FaceCapDecoder(),
+        description="The app Face Cap on an iPhone",
+        number=7,
     ),
     VERTICES: StreamProtocol(
         "Vertices",
         vertices.PORT,
-        lambda s: VertexDecoder(),
+        lambda s: vertices.VertexDecoder(),
         connected=True,
         description="Moved vertices from another Facemime or an engine over TCP",
         number=8,
@@ -327,7 +325,7 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "ifacialmocap-tcp": StreamProtocol(
         "iFacialMocap over TCP",
         ifacialmocap.TCP_PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.TCP_START,
         face_motion.TCP_PORT,
@@ -340,14 +338,14 @@ PROTOCOLS: dict[str, StreamProtocol] = {
     "vrcfacetracking": StreamProtocol(
         "VRCFaceTracking",
         vrcfacetracking.PORT,
-        lambda s: VrcFaceTrackingDecoder(),
+        lambda s: vrcfacetracking.VrcFaceTrackingDecoder(),
         description="VRCFaceTracking, for headsets that track the face",
         number=11,
     ),
     "facemotion3d-tcp": StreamProtocol(
         "Facemotion3d over TCP",
         ifacialmocap.TCP_PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_TCP_START,
         face_motion.TCP_PORT,
