@@ -24,6 +24,7 @@ from .job_files import (
 )
 from .options import (
     Commands,
+    Options,
     add_command,
     add_face_option,
     add_neutral_option,
@@ -44,15 +45,7 @@ def add_commands(commands: Commands) -> None:
     track.add_argument("--smooth", action="store_true", help="reduce jitter")
     add_face_option(track)
     add_settings(track, TrackingSettings)
-    track.set_defaults(
-        run=lambda given: _run_track(
-            given["video"],
-            given["output"],
-            given["face"],
-            filled(TrackingSettings, given),
-            smooth=given["smooth"],
-        )
-    )
+    track.set_defaults(run=_run_track)
 
     puppet = add_command(commands, "puppet", "animate a head from a video or a take")
     puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
@@ -73,23 +66,14 @@ def add_commands(commands: Commands) -> None:
     puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
 
 
-def _run_track(
-    video: Path, output: Path, face: tuple[float, float] | None, settings: TrackingSettings, *, smooth: bool
-) -> int:
-    """Run `facemime track`: write a video as a take; returns the exit status.
-
-    Parameters
-    ----------
-    output : Path
-        File for the take.
-    face : (float, float) or None
-        As for `FaceTracker.choose`.
-    """
+def _run_track(given: Options) -> int:
+    """Run `facemime track`: write a video as a take; returns the exit status."""
+    video, output = given["video"], given["output"]
     unfinished = unfinished_beside(output)
     outputs, inputs = ((output, {SUFFIX}),), {"the video that is tracked": video}
     with outputs_of(outputs, inputs, unfinished), growing(unfinished) as unfinished:
-        take = track(video, unfinished, face, settings)
-        if smooth:
+        take = track(video, unfinished, given["face"], filled(TrackingSettings, given))
+        if given["smooth"]:
             take = smooth_take(take)
             save_take(take, unfinished)
         if take.info.get("interrupted"):
