@@ -36,18 +36,14 @@ from .shared import (
     required_subject,
     subject,
 )
-from .takes import OnTake
+from .takes import OnTake, require_take
 
 
 class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
     """Bake the selected take to the active head and all other selected heads"""
 
     bl_label = "Bake Take"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode, a head and a take."""
-        return require_object_mode(cls, context) and require_heads(cls, context) and super().poll(context)
+    needs = (require_object_mode, require_heads, require_take)
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
@@ -264,13 +260,9 @@ class FACEMIME_OT_add_reference(_OnTakesVideo, bpy.types.Operator):
     """Show the take's video next to the active head, in sync with the take"""
 
     bl_label = "Add Reference"
+    needs = (require_heads, require_take)
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head and a take."""
-        return require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene

@@ -28,14 +28,10 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
 
     bl_label = "Calibrate"
     bl_options = {"REGISTER"}
+    needs = (require_puppet,)
 
     pose: EnumProperty(name="Pose", items=_POSES)
     countdown: FloatProperty(name="Countdown", default=COUNTDOWN, min=0.0, max=60.0, subtype="TIME_ABSOLUTE")
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet."""
-        return require_puppet(cls)
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:

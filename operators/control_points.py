@@ -22,7 +22,7 @@ from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
 from .puppet import require_puppet, required_puppet
-from .shared import AsksForFile, OnHead, OnMesh, report, require, required_subject, subject
+from .shared import AsksForFile, OnHead, OnMesh, report, require, require_mesh, required_subject, subject
 
 
 @with_settings(SelectionSettings)
@@ -95,11 +95,7 @@ class FACEMIME_OT_select_live_points(_SelectsPoints, bpy.types.Operator):
     """Select the control points from the last seconds of the puppet; make varied expressions for a few seconds first"""
 
     bl_label = "Select from Live"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet and a mesh."""
-        return require_puppet(cls) and super().poll(context)
+    needs = (require_puppet, require_mesh)
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
         """Return the last seconds of the session and its neutral face."""

@@ -34,13 +34,15 @@ from ..core.heads.bind import MARKS, Binding
 from ..settings.panel_properties import keep_findings
 from .place_points import CheckedBinding
 from .shared import (
-    InObjectMode,
     OnCharacter,
     OnHead,
     OnMesh,
     chosen_character,
     report,
+    require_character,
     require_left_edit_mode,
+    require_mesh,
+    require_object_mode,
     required_subject,
     subject,
 )
@@ -113,10 +115,11 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
         write_marks(mesh_of(subject(context)), {})
 
 
-class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
+class FACEMIME_OT_bind_keys(OnCharacter, bpy.types.Operator):
     """Drive the character by its existing shape keys, such as ARKit's or VRM's, without landmarks"""
 
     bl_label = "Use Its Shape Keys"
+    needs = (require_object_mode, require_character)
 
     def work(self, context: bpy.types.Context) -> None:
         before = placements()
@@ -128,10 +131,11 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
         report(self, "{name} is driven by its shape keys alone.", name=head.name)
 
 
-class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.types.Operator):
+class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):
     """Find the face of the selected character, and create its regions; without marks, it may face along any axis"""
 
     bl_label = "Find Face"
+    needs = (require_object_mode, require_character)
 
     def status(self) -> str:
         return _("Facemime: searching for the face; Esc to cancel")
@@ -186,11 +190,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     """Replace the three regions with weights derived from the landmarks and the openings of the eyes and mouth"""
 
     bl_label = "Reset Regions"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh outside Edit Mode, where vertex groups cannot be written."""
-        return require_left_edit_mode(cls, context) and super().poll(context)
+    needs = (require_left_edit_mode, require_mesh)
 
     def work(self, context: bpy.types.Context) -> None:
         propose_head_regions(required_subject(context))

@@ -23,7 +23,7 @@ from ..core.heads.rig import PART_NAMES, Part
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store
-from .shared import InObjectMode, OnHead, ReportsErrors, report, require, required_subject, subject
+from .shared import OnHead, ReportsErrors, report, require, require_mesh, require_object_mode, required_subject, subject
 from .steps import WorksInSteps, in_background
 
 _DESCRIPTIONS = messages(
@@ -163,10 +163,11 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         write_bones(head, armature, replace(bones, **{self.target: name}))
 
 
-class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.types.Operator):
+class FACEMIME_OT_make_expression_keys(WorksInSteps, OnHead, bpy.types.Operator):
     """Add a set of shape keys, such as ARKit's, to all meshes of the face; existing keys are kept"""
 
     bl_label = "Make Expression Keys"
+    needs = (require_object_mode, require_mesh)
 
     keys: EnumProperty(  # type: ignore[assignment]  # hides that of bpy_struct
         name="Keys",

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -26,7 +27,18 @@ from ..core.errors import HeadError
 from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.bind import MIN_MARKS
 from ..sessions.session import Session
-from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, required_subject, subject
+from .shared import (
+    Need,
+    OnHead,
+    OnMesh,
+    ReportsErrors,
+    report,
+    require,
+    require_mesh,
+    require_object_mode,
+    required_subject,
+    subject,
+)
 
 _ENTER = {"RET", "NUMPAD_ENTER"}
 
@@ -64,6 +76,7 @@ class _PlacesPoints(ReportsErrors):
     It also ends, and keeps the points, as soon as the mesh is changed or a puppet is started.
     """
 
+    needs: ClassVar[tuple[Need, ...]] = (require_object_mode, require_mesh)
     _placing: Placing
     _display: FaceDisplay
     _showed = False
@@ -71,11 +84,7 @@ class _PlacesPoints(ReportsErrors):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh in Object Mode, and that no puppet is running."""
-        return (
-            require_object_mode(cls, context)
-            and super().poll(context)
-            and require(cls, Session.running() is None, "Stop the puppet first")
-        )
+        return super().poll(context) and require(cls, Session.running() is None, "Stop the puppet first")
 
     def begin(self, obj: bpy.types.Object) -> Placing:
         """Return the placing to start."""

@@ -46,7 +46,7 @@ def required_puppet() -> LiveSession:
     return session
 
 
-def require_puppet(operator: type[bpy.types.Operator]) -> bool:
+def require_puppet(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Return for `poll` whether a puppet is running; otherwise set the poll message of `operator`."""
     return require(operator, running() is not None, "Start the puppet first")
 
@@ -70,6 +70,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
+    needs = (require_no_session, require_left_edit_mode, require_heads)
 
     _session: LiveSession
     _rigs: RigWatch
@@ -81,11 +82,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _redrawn_at = 0.0
     _text = ""
     _heads: tuple[LiveHeadObject, ...] = ()
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a selected head outside Edit Mode, and that no session is running."""
-        return require_no_session(cls) and require_left_edit_mode(cls, context) and require_heads(cls, context)
 
     def work(self, context: bpy.types.Context) -> OperatorResult:
         """Start the session, and continue at every tick of a timer."""

@@ -24,17 +24,13 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     """Track the face in a video, keep it as a take, and bake it to the active head and all other selected heads"""
 
     bl_label = "Puppet from Video"
+    needs = (require_object_mode, require_heads)
 
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
 
     _session: TrackingSession | None = None
     _head: str = ""
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head in Object Mode."""
-        return require_object_mode(cls, context) and require_heads(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for a file, unless the button provides one."""

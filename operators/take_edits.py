@@ -21,7 +21,7 @@ from ..settings.rna import read, with_settings
 from ..settings.values import take_start
 from .puppet import require_puppet, required_puppet
 from .shared import require
-from .takes import OnTake
+from .takes import OnTake, require_take
 
 _BLEND_PROPERTY = FloatProperty(
     name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=BLEND, min=0.0
@@ -173,11 +173,17 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 
 
+def _require_no_range(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    free = required_puppet().recorder.punch_in is None
+    return require(operator, free, "A range is already being re-recorded")
+
+
 class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
     """Re-record the selected take between two frames with pre-roll, blended at both ends"""
 
     bl_label = "Re-Record Range"
     bl_options = {"REGISTER"}
+    needs = (require_puppet, _require_no_range, require_take)
 
     start: IntProperty(name="Start", description="First frame of the range", default=1)
     end: IntProperty(name="End", description="Last frame of the range", default=50)
@@ -190,15 +196,6 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         max=30.0,
     )
     blend: _BLEND_PROPERTY
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet and a take, and that no range is being re-recorded."""
-        return (
-            require_puppet(cls)
-            and require(cls, required_puppet().recorder.punch_in is None, "A range is already being re-recorded")
-            and super().poll(context)
-        )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the range; by default the preview range, or two seconds from the current frame."""

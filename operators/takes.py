@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from contextlib import closing
+from typing import ClassVar
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
@@ -25,6 +26,7 @@ from .puppet import FACEMIME_OT_puppet, required_puppet, running, start_puppet
 from .shared import (
     AsksForFile,
     AsksForFileToWrite,
+    Need,
     OnHead,
     ReportsErrors,
     heads_in,
@@ -32,20 +34,23 @@ from .shared import (
     reporting_range,
     require,
     require_heads,
+    require_mesh,
     require_no_session,
     required_subject,
 )
 from .steps import WorksInSteps
 
 
+def require_take(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Require a take selected in the list, as `require` does."""
+    takes = context.scene.facemime_takes
+    return require(operator, 0 <= takes.index < len(takes.items), "Record or import a take first")
+
+
 class OnTake(ReportsErrors):
     """Mixin: requires a take selected in the list."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a selected take."""
-        takes = context.scene.facemime_takes
-        return require(cls, 0 <= takes.index < len(takes.items), "Record or import a take first")
+    needs: ClassVar[tuple[Need, ...]] = (require_take,)
 
 
 def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
@@ -107,7 +112,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         """Require a head and a take, and that no other session than a puppet is running, which ends."""
         if TakeShow.running() is not None:
             return True
-        free = running() is not None or require_no_session(cls)
+        free = running() is not None or require_no_session(cls, context)
         return free and require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
@@ -222,11 +227,7 @@ class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
     """Sample the active head over the frame range as a take, whether shape keys, bones or a cache move it"""
 
     bl_label = "Take from Animation"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head, and that nothing else moves it."""
-        return require_no_session(cls) and super().poll(context)
+    needs = (require_no_session, require_mesh)
 
     def status(self) -> str:
         return _("Facemime: sampling the animation; Esc to cancel")

@@ -19,9 +19,8 @@ class _OfViewer(OperatorMixin):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet with a viewer."""
-        return require_puppet(cls) and require(
-            cls, required_puppet().displays.viewer is not None, "Enable the viewer first"
-        )
+        there = require_puppet(cls, context)
+        return there and require(cls, required_puppet().displays.viewer is not None, "Enable the viewer first")
 
 
 def _address() -> str:
