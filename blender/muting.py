@@ -109,9 +109,7 @@ def name_them(silenced: Iterable[Silenced]) -> str:
     return ", ".join(texts)
 
 
-def mute_paths(
-    owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True, drivers: bool = True
-) -> list[Silenced]:
+def mute_paths(owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True) -> list[Silenced]:
     """Mute the curves and drivers of some data paths for a bake, and return what was muted.
 
     Strips below are not muted, as the bake replaces what they move.
@@ -120,8 +118,8 @@ def mute_paths(
     ----------
     owner : bpy.types.ID
     paths : collection of str
-    curves, drivers : bool
-        Whether these are muted.
+    curves : bool
+        Whether curves are muted, too.
     """
     data, muted = owner.animation_data, []
     if data is None:
@@ -131,7 +129,7 @@ def mute_paths(
         if curve.data_path in paths and not curve.mute and curve.data_path not in owned:
             muted.append((_CURVE, curve.data_path, action_name(data)))
             curve.mute = True
-    for driver in data.drivers if drivers else ():
+    for driver in data.drivers:
         if driver.data_path in paths and not driver.mute:
             muted.append((_DRIVER, driver.data_path, owner.name))
             driver.mute = True

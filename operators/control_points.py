@@ -100,9 +100,9 @@ class FACEMIME_OT_select_live_points(_SelectsPoints, bpy.types.Operator):
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
         """Return the last seconds of the session and its neutral face."""
         worker = required_puppet().worker
-        if worker.neutral is None:
+        if worker.first.neutral is None:
             raise HeadError("There is no neutral face yet. Wait until the head moves.")
-        return worker.recent_take(), worker.neutral
+        return worker.recent_take(), worker.first.neutral
 
 
 class _OnLandmark(OnHead):

@@ -156,5 +156,5 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         if session.calibrating.current is not None:
             passed = 1.0 - min(session.calibrating.current.left / COUNTDOWN, 1.0)
             layout.progress(factor=passed, text=countdown_text(session), translate=False)
-        elif (quality := session.worker.quality) is not None:
+        elif (quality := session.worker.first.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")

@@ -8,7 +8,7 @@ reference to a curve or track becomes invalid when the user removes it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import bpy
@@ -49,7 +49,7 @@ def restore(owner: bpy.types.ID) -> None:
 
 def restore_all(but: Collection[bpy.types.ID] = ()) -> None:
     """Restore what was set aside of all data-blocks, except some."""
-    for owner in _owners():
+    for owner in (*bpy.data.objects, *bpy.data.shape_keys):
         if ASIDE_PROPERTY in owner and owner.library is None and owner not in but:
             restore(owner)
 
@@ -178,8 +178,3 @@ def _listed(owner: bpy.types.ID) -> list[Item]:
     except ValueError:
         return []
     return [item for item in items if isinstance(item, list) and item] if isinstance(items, list) else []
-
-
-def _owners() -> Iterator[bpy.types.ID]:
-    yield from bpy.data.objects
-    yield from bpy.data.shape_keys

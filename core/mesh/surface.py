@@ -269,14 +269,16 @@ def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Unique edges, (E, 2), and the number of faces at each, (E,)."""
-    counts = (faces >= 0).sum(axis=1)
-    pairs = [
-        np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=-1).reshape(-1, 2)
-        for count in np.unique(counts)
-        if count > 1
-        for polygons in [faces[counts == count, :count]]
-    ]
-    every = np.sort(np.concatenate(pairs), axis=1) if pairs else np.empty((0, 2), dtype=np.intp)
+    every = np.sort(edges_of(faces), axis=1)
     width = int(every.max(initial=0)) + 1
     keys, faces_at = np.unique(every[:, 0] * width + every[:, 1], return_counts=True)
     return np.stack([keys // width, keys % width], axis=1), faces_at
+
+
+def edges_of(faces: IntArray) -> NDArray[np.intp]:
+    """Return the edges, (E, 2), of faces (F, K) that are padded with -1."""
+    following: NDArray[np.intp] = np.roll(faces, -1, axis=1)
+    last = (faces >= 0) & (following < 0)
+    following = np.where(last, faces[:, :1], following)
+    pairs = np.stack([faces, following], axis=-1).reshape(-1, 2)
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)], dtype=np.intp)

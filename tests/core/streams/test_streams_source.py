@@ -153,7 +153,7 @@ def test_a_puppet_returns_to_rest_in_the_worker_without_recording_it(opened):
         ):
             time.sleep(0.05)
             assert time.monotonic() - began < PATIENCE
-        assert worker.neutral.measured
+        assert worker.first.neutral.measured
         vertices = worker.latest.heads[0].vertices
         assert np.abs(vertices - built_in_head().all_vertices).max() < 1e-4
         assert Recorder.times == sorted(set(Recorder.times))
