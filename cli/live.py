@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -80,15 +81,8 @@ def _run_send(given: Options) -> int:
     worker = LiveWorker(source, neutral=neutral, options=performance.options)
     sender = open_output(worker)
     progress = Progress(f"Sending {source.name} to {given['to'] or 'receivers over TLS'}")
-    with STOPPING.noting():
-        worker.start()
-        try:
-            watch(worker, lambda: (sender.sent, sender.message), progress, performance.seconds)
-        finally:
-            worker.close()
-            sender.close()
-    if worker.error is not None:
-        raise worker.error
+    with closing(sender), STOPPING.noting():
+        watch(worker, lambda: (sender.sent, sender.message), progress, performance.seconds)
     progress.finish(sender.message or ("" if sender.sent else "nothing was sent, as nobody answered"))
     return 0
 
@@ -215,13 +209,7 @@ def _run_serve(given: Options) -> int:
         worker.displays = (server,)
         announce()
         progress = Progress(f"Serving {source.name}")
-        worker.start()
-        try:
-            watch(worker, lambda: (server.sent, server.message), progress, performance.seconds)
-        finally:
-            worker.close()
-    if worker.error is not None:
-        raise worker.error
+        watch(worker, lambda: (server.sent, server.message), progress, performance.seconds)
     progress.finish(server.message)
     return 0
 

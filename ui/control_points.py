@@ -19,7 +19,7 @@ from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.regions import REGIONS
 from ..operators.shared import required_subject, subject
 from ..settings.panel_properties import FacemimeLandmark, FacemimeSteps
-from .sidebar import List, OnHead, is_narrow, labels, place, side_by_side, split_labels
+from .sidebar import List, OnHead, is_narrow, labels, place, props, side_by_side, split_labels
 
 _CURVE = "curve"
 
@@ -112,9 +112,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
 def _draw_selection(layout: bpy.types.UILayout, steps: FacemimeSteps) -> None:
     column = layout.column()
     split_labels(column)
-    column.prop(steps, "search")
-    column.prop(steps, "tolerance")
-    column.prop(steps, "max_points")
+    props(column, steps, "search", "tolerance", "max_points")
     buttons = layout.column(align=True)
     buttons.menu("FACEMIME_MT_select_from_take", icon="CURVE_DATA")
     _apply(steps, buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"))

@@ -116,6 +116,12 @@ def split_labels(layout: bpy.types.UILayout) -> None:
     layout.use_property_decorate = False
 
 
+def props(layout: bpy.types.UILayout, owner: bpy.types.bpy_struct, *names: str) -> None:
+    """Draw some properties of `owner`, one below the other."""
+    for name in names:
+        layout.prop(owner, name)
+
+
 def draw_list(
     layout: bpy.types.UILayout,
     kind: str,

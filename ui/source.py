@@ -17,7 +17,7 @@ from ..settings.performers import calibration_of, stored_performers
 from ..settings.preferences import draw_camera, draw_preview, preferences
 from ..settings.properties import FacemimePerformer, FacemimeStream
 from ..settings.values import FILE_OF
-from .sidebar import List, Sidebar, draw_list, labels, place, split_labels
+from .sidebar import List, Sidebar, draw_list, labels, place, props, split_labels
 from .status import countdown_text
 
 _NUMBERED_CAMERAS = 4
@@ -46,8 +46,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
                 column.prop(source, FILE_OF[source.kind])
             if source.kind == "PICTURES":
                 column.prop(source, "rate")
-            column.prop(source, "loop")
-            column.prop(source, "speed")
+            props(column, source, "loop", "speed")
         if source.kind not in ("TAKE", "STREAM"):
             column.prop(source, "face")
             column.prop(context.scene.facemime, "detector")
@@ -147,8 +146,7 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         column.operator("facemime.calibrate", text="Neutral Face", icon="USER").pose = "NEUTRAL"
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"
         column.operator("facemime.reset_calibration", text="Reset", icon="LOOP_BACK")
-        layout.prop(settings, "learn")
-        layout.prop(settings, "keep_calibrations")
+        props(layout, settings, "learn", "keep_calibrations")
         if stored_performers():
             layout.operator("facemime.clear_calibrations", icon="TRASH")
         if session is None:

@@ -12,7 +12,7 @@ from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
 from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake, table_so_far
-from .sidebar import List, Sidebar, draw_list, labels, place, split_labels
+from .sidebar import List, Sidebar, draw_list, labels, place, props, split_labels
 
 _MAPPED = "mapped"
 
@@ -131,10 +131,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column = layout.column()
         column.active = bake.keys not in ("cache", "alembic")
         column.prop(bake, "clean")
-        layout.prop(bake, "start")
-        layout.prop(bake, "fit_range")
-        layout.prop(bake, "keep_animation")
-        layout.prop(bake, "nla")
+        props(layout, bake, "start", "fit_range", "keep_animation", "nla")
         obj = subject(context)
         if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):
             labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
@@ -173,8 +170,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
                 column.prop_search(line, "key", mesh_of(obj).shape_keys, "key_blocks")
             else:
                 column.prop(line, "key")
-            column.prop(line, "gain")
-            column.prop(line, "offset")
+            props(column, line, "gain", "offset")
         layout.operator("facemime.detect_key_map", text="Detect", icon="VIEWZOOM")
         if bake.rows:
             labels(layout, context, table_so_far(bake).summary())
