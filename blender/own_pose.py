@@ -13,6 +13,7 @@ import bpy
 from mathutils import Euler, Matrix, Quaternion, Vector
 
 from .actions import baked_paths
+from .fcurves import drivers_of
 from .muting import curve_paths
 from .names import OWN_POSE_PROPERTY
 
@@ -179,8 +180,10 @@ def _unposed(owner: Posable, *, animated: bool = False) -> dict[str, Any]:
     animation that is not `animated`.
     """
     moved = curve_paths(owner.id_data)
-    if not isinstance(owner, bpy.types.Object) and (data := owner.id_data.animation_data) is not None:
-        moved |= {driver.data_path for driver in data.drivers}  # of a bone they are motion, not a placement
+    if not isinstance(owner, bpy.types.Object):
+        moved |= {
+            driver.data_path for driver in drivers_of(owner.id_data)
+        }  # of a bone they are motion, not a placement
     own, (location, *rotations) = {"mode": owner.rotation_mode, **_channels(owner)}, _paths(owner)
     if _is_baked(owner) or (location in moved and not animated):
         own["location"] = [0.0] * 3
