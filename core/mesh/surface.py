@@ -118,8 +118,8 @@ def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArr
 
 def _pieces(count: int, edges: IntArray) -> NDArray[np.intp]:
     """Number the pieces that edges (E, 2) connect, (count,), in the order of their first vertices."""
-    graph = linalg.sparse().coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count))
-    return np.asarray(linalg.sparse().csgraph.connected_components(graph, directed=False)[1], dtype=np.intp)
+    graph = linalg.part("sparse").coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count))
+    return np.asarray(linalg.part("sparse.csgraph").connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
 def triangulate(faces: IntArray) -> NDArray[np.intp]:
@@ -177,7 +177,7 @@ class SurfaceGraph:
         order = np.argsort(both[:, 0], kind="stable")
         starts = np.searchsorted(both[order, 0], np.arange(len(self.vertices) + 1))
         lengths = np.tile(length, 2)[order], both[order, 1], starts
-        self._graph = linalg.sparse().csr_matrix(lengths, (len(self.vertices), len(self.vertices)))
+        self._graph = linalg.part("sparse").csr_matrix(lengths, (len(self.vertices), len(self.vertices)))
 
     def neighbours(self, vertex: int) -> list[int]:
         """Return the vertices that are one edge away from `vertex`."""
@@ -235,7 +235,7 @@ class SurfaceGraph:
         infinity and negative numbers beyond `limit`.
         """
         indices = np.unique(np.fromiter(seeds, dtype=np.intp))
-        found: tuple[FloatArray, IntArray, IntArray] = linalg.sparse().csgraph.dijkstra(
+        found: tuple[FloatArray, IntArray, IntArray] = linalg.part("sparse.csgraph").dijkstra(
             self._graph, indices=indices, return_predecessors=True, limit=limit, min_only=True
         )
         return found

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from functools import cache
+from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
@@ -36,12 +37,10 @@ def _scipy() -> Any:
 
 
 @cache
-def sparse() -> Any:
-    """Load scipy's sparse matrices and algorithms on graphs, in the same way."""
+def part(name: str) -> Any:
+    """Load another part of scipy, such as its sparse matrices, in the same way."""
     _scipy()
-    import scipy.sparse.csgraph  # type: ignore[import-untyped]
-
-    return scipy.sparse
+    return import_module(f"scipy.{name}")
 
 
 def _full_path(path: str) -> str:
