@@ -53,9 +53,7 @@ class StreamProtocol:
     description : str
         Its tooltip: what sends it.
     number : int
-        Number that a .blend file stores.
-    sent : bool
-        Whether `StreamSender` sends it, too.
+        Number that a .blend file stores; -1 for its place in `PROTOCOLS`.
     """
 
     label: str
@@ -69,8 +67,7 @@ class StreamProtocol:
     end: bytes = b""
     stop: bytes = b""
     description: str = ""
-    number: int = 0
-    sent: bool = False
+    number: int = -1
 
 
 @dataclass(frozen=True)
@@ -249,32 +246,24 @@ EXPRESSIONS = settings_of(SendSettings)["expressions"].values
 
 
 PROTOCOLS: dict[str, StreamProtocol] = {
-    OWN: StreamProtocol(
-        "Facemime", datagram.PORT, None, description="Another computer with Facemime", number=0, sent=True
-    ),
+    OWN: StreamProtocol("Facemime", datagram.PORT, None, description="Another computer with Facemime"),
     "livelink": StreamProtocol(
         "Live Link Face",
         live_link.PORT,
         lambda s: live_link.LiveLinkDecoder(s.angles),
         description="Epic's iPhone app in ARKit mode, or Unreal Engine",
-        number=1,
-        sent=True,
     ),
     "vmc": StreamProtocol(
         "VMC",
         vmc.PORT,
         lambda s: vmc.VmcDecoder(),
         description="VTuber programs that use the VMC protocol",
-        number=2,
-        sent=True,
     ),
     "openseeface": StreamProtocol(
         "OpenSeeFace",
         openseeface.PORT,
         lambda s: openseeface.OpenSeeFaceDecoder(),
         description="OpenSeeFace's tracker, or VTuber programs that receive from it",
-        number=3,
-        sent=True,
     ),
     "ifacialmocap": StreamProtocol(
         "iFacialMocap",
@@ -284,7 +273,6 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda port: ifacialmocap.START,
         face_motion.PHONE_PORT,
         description="The app iFacialMocap on an iPhone",
-        number=4,
     ),
     "facemotion3d": StreamProtocol(
         "Facemotion3d",
@@ -295,7 +283,6 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         face_motion.PHONE_PORT,
         stop=ifacialmocap.FACEMOTION_STOP,
         description="The app Facemotion3d on a phone",
-        number=5,
     ),
     "vtubestudio": StreamProtocol(
         "VTube Studio, MeowFace",
@@ -305,14 +292,12 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         vtube_studio.request,
         leased=True,
         description="VTube Studio on an iPhone, or MeowFace on Android",
-        number=6,
     ),
     "facecap": StreamProtocol(
         "Face Cap",
         face_cap.PORT,
         lambda s: face_cap.FaceCapDecoder(),
         description="The app Face Cap on an iPhone",
-        number=7,
     ),
     VERTICES: StreamProtocol(
         "Vertices",
@@ -320,7 +305,6 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         lambda s: vertices.VertexDecoder(),
         connected=True,
         description="Moved vertices from another Facemime or an engine over TCP",
-        number=8,
     ),
     "ifacialmocap-tcp": StreamProtocol(
         "iFacialMocap over TCP",
@@ -333,7 +317,6 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         end=ifacialmocap.TCP_END,
         stop=ifacialmocap.TCP_STOP,
         description="The app iFacialMocap, in networks that lose packets",
-        number=9,
     ),
     "vrcfacetracking": StreamProtocol(
         "VRCFaceTracking",
