@@ -15,27 +15,32 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .core.bake.arkit import arkit_coefficients
-    from .core.bake.fit import fit_keys
-    from .core.bake.reduction import fit_basis
-    from .core.control_points.select import select_control_points
-    from .core.deform.head_deformer import head_deformer
-    from .core.deform.rbf import RBFDeformer
-    from .core.drive.drive_settings import DriveSettings
-    from .core.drive.driver import HeadDriver, HeadFrame
-    from .core.errors import FacemimeError
-    from .core.face.names import COEFFICIENTS
-    from .core.heads.bind import bind_head
-    from .core.heads.key_map import KeyMap, KeyRow
-    from .core.heads.regions import REGIONS
-    from .core.heads.rig import HeadRig, built_in_head
-    from .core.takes.file import load_take, save_take
-    from .core.takes.from_video import track_video
-    from .core.takes.neutral import Neutral, calibrate
-    from .core.takes.smooth import smooth_take
-    from .core.takes.take import Take
-    from .core.tracking.result import TrackResult
-    from .core.tracking.tracker import FaceTracker
+    from .core.bake.arkit import arkit_coefficients as arkit_coefficients
+    from .core.bake.fit import fit_basis as fit_basis
+    from .core.bake.fit import fit_keys as fit_keys
+    from .core.control_points.select import select_control_points as select_control_points
+    from .core.deform.head_deformer import head_deformer as head_deformer
+    from .core.deform.rbf import RBFDeformer as RBFDeformer
+    from .core.drive.drive_settings import DriveSettings as DriveSettings
+    from .core.drive.driver import HeadDriver as HeadDriver
+    from .core.drive.driver import HeadFrame as HeadFrame
+    from .core.errors import FacemimeError as FacemimeError
+    from .core.face.names import COEFFICIENTS as COEFFICIENTS
+    from .core.heads.bind import bind_head as bind_head
+    from .core.heads.key_map import KeyMap as KeyMap
+    from .core.heads.key_map import KeyRow as KeyRow
+    from .core.heads.regions import REGIONS as REGIONS
+    from .core.heads.rig import HeadRig as HeadRig
+    from .core.heads.rig import built_in_head as built_in_head
+    from .core.takes.file import load_take as load_take
+    from .core.takes.file import save_take as save_take
+    from .core.takes.from_video import track_video as track_video
+    from .core.takes.neutral import Neutral as Neutral
+    from .core.takes.neutral import calibrate as calibrate
+    from .core.takes.smooth import smooth_take as smooth_take
+    from .core.takes.take import Take as Take
+    from .core.tracking.result import TrackResult as TrackResult
+    from .core.tracking.tracker import FaceTracker as FaceTracker
 
 _PLACES = {
     "COEFFICIENTS": "face.names",
@@ -56,7 +61,7 @@ _PLACES = {
     "bind_head": "heads.bind",
     "built_in_head": "heads.rig",
     "calibrate": "takes.neutral",
-    "fit_basis": "bake.reduction",
+    "fit_basis": "bake.fit",
     "fit_keys": "bake.fit",
     "head_deformer": "deform.head_deformer",
     "load_take": "takes.file",
@@ -67,34 +72,7 @@ _PLACES = {
 }
 """Modules of `core` from which names are loaded when they are first used, as enabling the extension must not wait."""
 
-__all__ = [  # noqa: RUF022, which sorts by another alphabet
-    "COEFFICIENTS",
-    "DriveSettings",
-    "FaceTracker",
-    "FacemimeError",
-    "HeadDriver",
-    "HeadFrame",
-    "HeadRig",
-    "KeyMap",
-    "KeyRow",
-    "Neutral",
-    "RBFDeformer",
-    "REGIONS",
-    "Take",
-    "TrackResult",
-    "arkit_coefficients",
-    "bind_head",
-    "built_in_head",
-    "calibrate",
-    "fit_basis",
-    "fit_keys",
-    "head_deformer",
-    "load_take",
-    "save_take",
-    "select_control_points",
-    "smooth_take",
-    "track_video",
-]
+__all__ = list(_PLACES)
 
 
 def __getattr__(name: str) -> Any:

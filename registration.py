@@ -4,6 +4,7 @@ import atexit
 
 import bpy
 
+from .blender import messages
 from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
 from .cli import entry
@@ -26,7 +27,7 @@ from .operators import (
 from .sessions import session, show
 from .settings import panel_properties, performers, preferences, properties, storage, takes_properties
 from .ui import control_points as control_points_panel
-from .ui import documentation, menus, overlays, status, translations
+from .ui import documentation, menus, overlays, status
 from .ui import head as head_panels
 from .ui import puppet as puppet_panel
 from .ui import source as source_panel
@@ -34,7 +35,7 @@ from .ui import start as start_panel
 from .ui import takes as takes_panels
 
 _MODULES = (
-    translations,
+    messages,
     preferences,
     properties,
     panel_properties,

@@ -17,7 +17,7 @@ if __name__ == "facemime.blender":  # the library; nothing else imports the exte
             "heads.keyed": "heads.vrm",
             "heads.new_heads": "heads.built_in heads.facegen",
             "heads.openings": "heads.eyes heads.lips",
-            "heads.placing": "heads.landmark_places",
+            "heads.placing": "heads.binding_undo heads.landmark_places",
             "reference": "media.sound",
             "view_layers": "collections placement",
         },

@@ -14,7 +14,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.bake.reduction import needed_keys
+from ..core.bake.fit import needed_keys
 from ..core.errors import HeadError
 from .fcurves import (
     TRACK,

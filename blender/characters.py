@@ -25,7 +25,7 @@ from ..core.numeric import linalg
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
 from .meshes import can_be_driven, driven_by_keys, mesh_of, posed_bones, read_faces, read_vertices, rest_bones
 from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
-from .own_pose import own_mode, own_pose
+from .own_pose import ROTATIONS, matrix_of, own_mode, own_pose
 
 _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
 """Parts whose vertices move within the head."""
@@ -315,12 +315,7 @@ def _placed_rotation(obj: bpy.types.Object) -> Matrix:
 def own_rotation(obj: bpy.types.Object) -> Matrix:
     """Return the (3, 3) rotation of `obj` relative to its parent, without its delta rotation."""
     mode = own_mode(obj)
-    if mode == "QUATERNION":
-        return obj.rotation_quaternion.normalized().to_matrix()
-    if mode == "AXIS_ANGLE":
-        angle, *axis = obj.rotation_axis_angle
-        return Matrix.Rotation(angle, 3, axis)
-    return obj.rotation_euler.to_matrix()
+    return matrix_of(mode, getattr(obj, ROTATIONS.get(mode, "rotation_euler")))
 
 
 def _root(owner: bpy.types.ID) -> bpy.types.ID | None:

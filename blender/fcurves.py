@@ -5,7 +5,7 @@ tracks of its bakes, and actions that several characters share.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import bpy
@@ -26,9 +26,19 @@ def slot_handle(holder: Holder) -> int:
     return 0 if slot is None else int(slot.handle)
 
 
-def action_name(holder: Holder) -> str:
+def action_name(holder: Holder | None) -> str:
     """Return the name of the action that a holder plays; "" if it plays none."""
-    return "" if holder.action is None else holder.action.name
+    return "" if holder is None or holder.action is None else holder.action.name
+
+
+def drivers_of(owner: bpy.types.ID) -> Sequence[bpy.types.FCurve]:
+    """Return the drivers of a data-block."""
+    return () if owner.animation_data is None else owner.animation_data.drivers[:]
+
+
+def tracks_of(owner: bpy.types.ID) -> Sequence[bpy.types.NlaTrack]:
+    """Return the NLA tracks of a data-block."""
+    return () if owner.animation_data is None else owner.animation_data.nla_tracks[:]
 
 
 def curves_in(holder: Holder | None) -> Any:
@@ -108,8 +118,7 @@ _TRACK_NAME = re.compile(rf"{TRACK}(\.\d{{3}})?")
 
 def tracks_of_bakes(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
     """Return the NLA tracks of `owner` that a bake added."""
-    data = owner.animation_data
-    return [] if data is None else [track for track in data.nla_tracks if _TRACK_NAME.fullmatch(track.name)]
+    return [track for track in tracks_of(owner) if _TRACK_NAME.fullmatch(track.name)]
 
 
 def tracked_strips(owner: bpy.types.ID) -> list[bpy.types.NlaStrip]:
@@ -153,8 +162,7 @@ def _plays_elsewhere(action: bpy.types.Action, handle: int, owners: list[bpy.typ
     if action.library is not None:
         return True
     for user in bpy.data.user_map(subset=[action])[action]:
-        data = getattr(user, "animation_data", None)
-        if data is None:
+        if (data := getattr(user, "animation_data", None)) is None:
             continue
         if user not in owners and data.action == action and slot_handle(data) == handle:
             return True

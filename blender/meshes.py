@@ -277,13 +277,7 @@ def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
     name : str
         Name of a vertex group.
     """
-    weights = np.zeros(len(mesh_of(obj).vertices), dtype=np.float32)
-    if (group := obj.vertex_groups.get(name)) is not None:
-        for vertex in mesh_of(obj).vertices:
-            for element in vertex.groups:
-                if element.group == group.index:
-                    weights[vertex.index] = element.weight
-    return weights
+    return np.asarray(_group_weights(obj, (name,), slice(None))[0])
 
 
 def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
@@ -316,16 +310,21 @@ def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
     HeadError
         If one of the vertex groups is missing.
     """
-    groups = [group for name in REGION_GROUPS if (group := obj.vertex_groups.get(name)) is not None]
     if missing := [name for name in REGION_GROUPS if name not in obj.vertex_groups]:
         raise HeadError(
             "Missing vertex groups of {name}: {missing}. Paint these regions, or use Reset Regions.",
             name=obj.name,
             missing=", ".join(missing),
         )
+    return _group_weights(obj, REGION_GROUPS, part)
+
+
+def _group_weights(obj: bpy.types.Object, names: tuple[str, ...], part: slice) -> NDArray[np.float32]:
+    """Weights of some vertices in groups, (G, n), 0 in those that do not exist."""
     vertices = mesh_of(obj).vertices[part]
-    weights = np.zeros((len(groups), len(vertices)), dtype=np.float32)
-    row_of = {group.index: row for row, group in enumerate(groups)}
+    weights = np.zeros((len(names), len(vertices)), dtype=np.float32)
+    groups = [obj.vertex_groups.get(name) for name in names]
+    row_of = {group.index: row for row, group in enumerate(groups) if group is not None}
     for place, vertex in enumerate(vertices):
         for element in vertex.groups:
             if (row := row_of.get(element.group)) is not None:

@@ -1,4 +1,4 @@
-"""Translation of messages, such as errors of `core`, which does not import Blender.
+"""Translation of messages, such as errors of `core`, which does not import Blender, and registration of translations.
 
 Blender looks up constant texts. Of a message, the template is looked up, and the values are inserted into its
 translation. `tools/strings.py` collects texts and templates from the sources.
@@ -76,3 +76,24 @@ def show_error(message: str) -> None:
         print(f"facemime: {text}")
     else:
         bpy.context.window_manager.popup_menu(draw, title="Facemime", icon="ERROR")
+
+
+_CONTEXTS = ("*", CONTEXT)
+
+
+def texts() -> dict[str, dict[tuple[str, str], str]]:
+    """Return the translations of each language, keyed by context and English text; tooltips have no context."""
+    return {
+        language: {(context, english): other for english, other in known.items() for context in _CONTEXTS}
+        for language, known in load_languages().items()
+    }
+
+
+def register() -> None:
+    """Register the translations."""
+    bpy.app.translations.register(__package__, texts())  # type: ignore[arg-type]  # keyed by context and text
+
+
+def unregister() -> None:
+    """Unregister the translations."""
+    bpy.app.translations.unregister(__package__)

@@ -9,7 +9,16 @@ from typing import NamedTuple
 
 import bpy
 
-from .fcurves import Holder, action_name, curves_in, is_baked, owned_paths, tracked_strips
+from .fcurves import (
+    Holder,
+    action_name,
+    curves_in,
+    drivers_of,
+    is_baked,
+    owned_paths,
+    tracked_strips,
+    tracks_of,
+)
 
 _KEYS = 'key_blocks["Facemime '
 """Prefix of the data paths of Facemime's shape keys."""
@@ -28,26 +37,17 @@ def animated_paths(owner: bpy.types.ID, paths: Iterable[str]) -> list[str]:
 
 def driven_paths(owner: bpy.types.ID) -> set[str]:
     """Return the data paths of the drivers of `owner` that are not muted."""
-    data = owner.animation_data
-    return set() if data is None else {driver.data_path for driver in data.drivers if not driver.mute}
+    return {driver.data_path for driver in drivers_of(owner) if not driver.mute}
 
 
 def keyed_paths(owner: bpy.types.ID) -> set[str]:
     """Return the data paths that curves of the action and the NLA strips of `owner` move, without those of bakes."""
-    data = owner.animation_data
-    if data is None:
-        return set()
-    holders: list[Holder] = [data, *strips_of(owner)]
-    return {path for holder in holders for path in _moved_paths(holder)}
+    return {path for holder in (owner.animation_data, *strips_of(owner)) for path in _moved_paths(holder)}
 
 
 def varying_paths(owner: bpy.types.ID) -> set[str]:
     """Return the data paths that curves of `owner` move to more than one value, of those of `keyed_paths`."""
-    data = owner.animation_data
-    if data is None:
-        return set()
-    holders: list[Holder] = [data, *strips_of(owner)]
-    curves = [curve for holder in holders for curve in curves_in(holder)]
+    curves = [curve for holder in (owner.animation_data, *strips_of(owner)) for curve in curves_in(holder)]
     return {curve.data_path for curve in curves if _varies(curve)} & keyed_paths(owner)
 
 
@@ -62,10 +62,8 @@ def curve_paths(owner: bpy.types.ID) -> set[str]:
     Those of bakes do not count, nor do drivers: what these and muted curves move has the value that is shown.
     """
     data, noted = owner.animation_data, _lines(owner)
-    if data is None:
-        return set()
-    tracks = [track for track in data.nla_tracks if not track.mute or [_TRACK, track.name] in noted]
-    holders: list[Holder] = [data, *(strip for track in tracks for strip in track.strips if not strip.mute)]
+    tracks = [track for track in tracks_of(owner) if not track.mute or [_TRACK, track.name] in noted]
+    holders = [data, *(strip for track in tracks for strip in track.strips if not strip.mute)]
     keyed = {
         curve.data_path
         for holder in holders
@@ -109,9 +107,7 @@ def name_them(silenced: Iterable[Silenced]) -> str:
     return ", ".join(texts)
 
 
-def mute_paths(
-    owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True, drivers: bool = True
-) -> list[Silenced]:
+def mute_paths(owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True) -> list[Silenced]:
     """Mute the curves and drivers of some data paths for a bake, and return what was muted.
 
     Strips below are not muted, as the bake replaces what they move.
@@ -120,18 +116,16 @@ def mute_paths(
     ----------
     owner : bpy.types.ID
     paths : collection of str
-    curves, drivers : bool
-        Whether these are muted.
+    curves : bool
+        Whether curves are muted, too.
     """
     data, muted = owner.animation_data, []
-    if data is None:
-        return []
     owned = owned_paths(data)
     for curve in curves_in(data) if curves else ():
         if curve.data_path in paths and not curve.mute and curve.data_path not in owned:
             muted.append((_CURVE, curve.data_path, action_name(data)))
             curve.mute = True
-    for driver in data.drivers if drivers else ():
+    for driver in drivers_of(owner):
         if driver.data_path in paths and not driver.mute:
             muted.append((_DRIVER, driver.data_path, owner.name))
             driver.mute = True
@@ -148,11 +142,9 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
     paths : collection of str, optional
         Data paths that are moved; all by default.
     """
-    data, muted = owner.animation_data, []
-    if data is None:
-        return []
+    data = owner.animation_data
     chosen = [path for path in sorted(_moved_paths(data)) if paths is None or path in paths]
-    muted += [(_CURVE, path, action_name(data)) for path in chosen]
+    muted = [(_CURVE, path, action_name(data)) for path in chosen]
     for curve in curves_in(data):
         if curve.data_path in chosen:
             curve.mute = True
@@ -166,8 +158,7 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
 
 def mute_for_now(stack: ExitStack, owner: bpy.types.ID, paths: Collection[str]) -> None:
     """Mute the curves of the action and the drivers of some data paths until a stack ends."""
-    data = owner.animation_data
-    playing = () if data is None else (*curves_in(data), *data.drivers)
+    playing = (*curves_in(owner.animation_data), *drivers_of(owner))
     for curve in [curve for curve in playing if curve.data_path in paths and not curve.mute]:
         curve.mute = True
         stack.callback(setattr, curve, "mute", False)
@@ -175,18 +166,14 @@ def mute_for_now(stack: ExitStack, owner: bpy.types.ID, paths: Collection[str]) 
 
 def unmute_noted(owner: bpy.types.ID) -> None:
     """Unmute what bakes muted of the animation of `owner`."""
-    data, lines = owner.animation_data, _lines(owner)
-    if data is None or not lines:
+    lines = _lines(owner)
+    if not lines:
         return
-    for curve in curves_in(data):
-        if [_CURVE, curve.data_path] in lines:
-            curve.mute = False
-    for driver in data.drivers:
-        if [_DRIVER, driver.data_path] in lines:
-            driver.mute = False
-    for track in data.nla_tracks:
-        if [_TRACK, track.name] in lines:
-            track.mute = False
+    paths = [(_CURVE, curve, curve.data_path) for curve in curves_in(owner.animation_data)]
+    paths += [(_DRIVER, driver, driver.data_path) for driver in drivers_of(owner)]
+    for kind, muted, name in (*paths, *((_TRACK, track, track.name) for track in tracks_of(owner))):
+        if [kind, name] in lines:
+            muted.mute = False
     del owner[_MUTED]
 
 
@@ -217,18 +204,15 @@ def _label(path: str) -> str:
 def others_playing(owner: bpy.types.ID) -> list[str]:
     """Return the names of the action and the NLA tracks that animate `owner` in addition to a bake."""
     data = owner.animation_data
-    if data is None:
-        return []
     action = [action_name(data)] if _moved_paths(data) else []
     return action + [track.name for track in _other_tracks(owner) if not track.mute]
 
 
-def _moved_paths(holder: bpy.types.AnimData | bpy.types.NlaStrip) -> set[str]:
+def _moved_paths(holder: Holder | None) -> set[str]:
     """Return the data paths of the curves of a holder that play and that Facemime did not make."""
     return {curve.data_path for curve in curves_in(holder) if not curve.mute} - owned_paths(holder)
 
 
 def _other_tracks(owner: bpy.types.ID) -> list[bpy.types.NlaTrack]:
     """Return the NLA tracks with a strip that no bake wrote."""
-    tracks = () if owner.animation_data is None else owner.animation_data.nla_tracks
-    return [track for track in tracks if any(not is_baked(strip) for strip in track.strips)]
+    return [track for track in tracks_of(owner) if any(not is_baked(strip) for strip in track.strips)]

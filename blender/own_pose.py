@@ -13,11 +13,12 @@ import bpy
 from mathutils import Euler, Matrix, Quaternion, Vector
 
 from .actions import baked_paths
+from .fcurves import drivers_of
 from .muting import curve_paths
 from .names import OWN_POSE_PROPERTY
 
 Posable = bpy.types.Object | bpy.types.PoseBone
-_ROTATIONS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+ROTATIONS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
 """Channels by rotation mode; all other modes are orders of Euler angles."""
 _LIVE = "live"
 """Mark of a pose that a session sets, rather than a bake."""
@@ -45,13 +46,13 @@ def path_of(owner: Posable) -> str:
 
 def rotation_channel(owner: Posable) -> str:
     """Return the rotation channel that Blender reads in the rotation mode of `owner`, without the prefix."""
-    return _ROTATIONS.get(owner.rotation_mode, "rotation_euler")
+    return ROTATIONS.get(owner.rotation_mode, "rotation_euler")
 
 
 def own_pose(owner: Posable) -> OwnPose:
     """Return the user's own pose, whether or not a performance is added to it."""
     stored = _stored(owner) or _unposed(owner)
-    return OwnPose(Vector(stored["location"]), _matrix(stored["mode"], stored["rotation"]))
+    return OwnPose(Vector(stored["location"]), matrix_of(stored["mode"], stored["rotation"]))
 
 
 def own_mode(owner: Posable) -> str:
@@ -143,10 +144,10 @@ def release_own(owner: Posable) -> None:
 def _write(owner: Posable, stored: dict[str, Any]) -> None:
     prefix, channel = prefix_of(owner), rotation_channel(owner)
     setattr(owner, f"{prefix}location", stored["location"])
-    if channel == _ROTATIONS.get(stored["mode"], "rotation_euler") and owner.rotation_mode == stored["mode"]:
+    if channel == ROTATIONS.get(stored["mode"], "rotation_euler") and owner.rotation_mode == stored["mode"]:
         setattr(owner, f"{prefix}{channel}", stored["rotation"])
     else:
-        write_rotation(owner, _matrix(stored["mode"], stored["rotation"]))
+        write_rotation(owner, matrix_of(stored["mode"], stored["rotation"]))
 
 
 def write_rotation(owner: Posable, rotation: Matrix) -> None:
@@ -179,8 +180,10 @@ def _unposed(owner: Posable, *, animated: bool = False) -> dict[str, Any]:
     animation that is not `animated`.
     """
     moved = curve_paths(owner.id_data)
-    if not isinstance(owner, bpy.types.Object) and (data := owner.id_data.animation_data) is not None:
-        moved |= {driver.data_path for driver in data.drivers}  # of a bone they are motion, not a placement
+    if not isinstance(owner, bpy.types.Object):
+        moved |= {
+            driver.data_path for driver in drivers_of(owner.id_data)
+        }  # of a bone they are motion, not a placement
     own, (location, *rotations) = {"mode": owner.rotation_mode, **_channels(owner)}, _paths(owner)
     if _is_baked(owner) or (location in moved and not animated):
         own["location"] = [0.0] * 3
@@ -196,7 +199,8 @@ def _channels(owner: Posable) -> dict[str, Any]:
     return {"location": list(getattr(owner, f"{prefix}location")), "rotation": list(rotation)}
 
 
-def _matrix(mode: str, values: Any) -> Matrix:
+def matrix_of(mode: str, values: Any) -> Matrix:
+    """Return the (3, 3) rotation that the values of the channel of a rotation mode stand for."""
     if mode == "QUATERNION":
         return Quaternion(values).normalized().to_matrix()
     if mode == "AXIS_ANGLE":
@@ -212,7 +216,7 @@ def _is_baked(owner: Posable) -> bool:
 
 def _paths(owner: Posable) -> list[str]:
     """Return the data paths of the channels in all rotation modes."""
-    return [f"{path_of(owner)}{channel}" for channel in ("location", "rotation_euler", *_ROTATIONS.values())]
+    return [f"{path_of(owner)}{channel}" for channel in ("location", "rotation_euler", *ROTATIONS.values())]
 
 
 def _was_changed(owner: Posable, stored: dict[str, Any]) -> bool:

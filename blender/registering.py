@@ -1,9 +1,11 @@
 """Registration of a module's classes, properties, handlers and timers with Blender.
 
-A module declares them by name. `CLASSES` are registered in order; `POINTERS` are (Blender type, name, property group);
-`HANDLERS` maps names in `bpy.app.handlers` to functions, which stay there when a file is loaded; `OVERLAYS` maps
-functions that draw in all 3D Viewports to the moment when they do; `TIMERS` are functions that `watch` may have
-started. For anything else a module defines `register`, which is called last, and `unregister`, which is called first.
+The classes that a module defines are registered in their order, then `CLASSES`, which it makes in another way. An
+operator is called as its class: `FACEMIME_OT_puppet` is `facemime.puppet`. A module declares the rest by name:
+`POINTERS` are (Blender type, name, property group); `HANDLERS` maps names in `bpy.app.handlers` to functions, which
+stay there when a file is loaded; `OVERLAYS` maps functions that draw in all 3D Viewports to the moment when they do;
+`TIMERS` are functions that `watch` may have started. For anything else a module defines `register`, which is called
+last, and `unregister`, which is called first.
 """
 
 from collections.abc import Callable
@@ -21,7 +23,9 @@ _overlays: dict[Callable[[], None], object] = {}
 
 def register_module(module: ModuleType) -> None:
     """Register a module with Blender."""
-    for cls in getattr(module, "CLASSES", ()):
+    for cls in classes_of(module):
+        if issubclass(cls, bpy.types.Operator):
+            cls.bl_idname = f"facemime.{cls.__name__.removeprefix('FACEMIME_OT_')}"
         _translate_in_context(cls)
         bpy.utils.register_class(cls)
     for owner, name, group in getattr(module, "POINTERS", ()):
@@ -32,6 +36,13 @@ def register_module(module: ModuleType) -> None:
         _overlays[draw] = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", moment)
     if hasattr(module, "register"):
         module.register()
+
+
+def classes_of(module: ModuleType) -> list[type]:
+    """Return the classes of a module that Blender needs to know."""
+    own = (cls for cls in vars(module).values() if getattr(cls, "__module__", "") == module.__name__)
+    classes = [cls for cls in own if isinstance(cls, type) and issubclass(cls, bpy.types.bpy_struct)]
+    return [*classes, *getattr(module, "CLASSES", ())]
 
 
 def _translate_in_context(cls: type) -> None:
@@ -56,7 +67,7 @@ def unregister_module(module: ModuleType) -> None:
         bpy.types.SpaceView3D.draw_handler_remove(_overlays.pop(draw), "WINDOW")
     for owner, name, _ in getattr(module, "POINTERS", ()):
         delattr(owner, name)
-    for cls in reversed(getattr(module, "CLASSES", ())):
+    for cls in reversed(classes_of(module)):
         bpy.utils.unregister_class(cls)
 
 

@@ -22,7 +22,7 @@ from ..core.files.writing import replacing
 from .contexts import showing_scene
 from .preview_scene import set_shading
 from .reference import strips_of
-from .view_layers import collections_in
+from .view_layers import collections_in, set_for_now
 
 Image = NDArray[np.uint8]
 _ENLARGED = 1.25
@@ -119,14 +119,10 @@ def _picture_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
 @contextlib.contextmanager
 def without_subdivision(scene: bpy.types.Scene) -> Iterator[None]:
     """Render objects of a scene without subdivision, which would take three quarters of the time of a small image."""
-    modifiers = [m for obj in scene.objects for m in obj.modifiers if m.type == "SUBSURF" and m.show_render]
-    for modifier in modifiers:
-        modifier.show_render = False
-    try:
+    with contextlib.ExitStack() as stack:
+        for modifier in (modifier for obj in scene.objects for modifier in obj.modifiers if modifier.type == "SUBSURF"):
+            set_for_now(stack, modifier, "show_render", False)
         yield
-    finally:
-        for modifier in modifiers:
-            modifier.show_render = True
 
 
 def _require_display_library() -> None:

@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     ReportLevel = WmReportItems
     OperatorResult = set[OperatorReturnItems]
     OperatorMixin = bpy.types.Operator
+    ListMixin = bpy.types.UIList
     MenuMixin = bpy.types.Menu
     PanelMixin = bpy.types.Panel
 else:
     AlphaMode = EventType = Icon = ReportLevel = str
     OperatorResult = set
-    MenuMixin = OperatorMixin = PanelMixin = object  # Blender registers classes with one base of its own
+    ListMixin = MenuMixin = OperatorMixin = PanelMixin = object  # Blender registers classes with one base of its own

@@ -4,17 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from ..core.bake.key_sets import KEY_SETS
 from ..core.errors import FacemimeError
 from ..core.heads.bind import MARKS, MIN_MARKS
-from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
+from ..core.puppet.job import CHARACTER_SUFFIXES
 from ..core.takes.file import load_take
 from .console import for_terminal, say, tell
 from .job_files import importing_blender, outputs_of
-from .options import Commands, add_command, add_output, head_file
+from .options import Commands, Options, add_command, add_output, head_file
 
 DOUBTFUL = 3
 """Exit status of `bind` if the head was written, but its face may be elsewhere."""
@@ -57,56 +56,25 @@ def add_commands(commands: Commands) -> None:
         metavar="POINT=VERTEX|X,Y,Z",
         help=f"a point of the face, by vertex or by position in Blender; at least {MIN_MARKS} of: {points}",
     )
-    bind.set_defaults(
-        run=lambda given: _run_bind(
-            *(given[name] for name in ("character", "output", "picture")),
-            make_keys=given["make_keys"],
-            refine=given["refine"],
-            cut_open=given["cut_open"],
-            marks=dict(given["mark"]),
-        )
-    )
+    bind.set_defaults(run=_run_bind)
 
 
-def _run_bind(
-    character: HeadFile,
-    output: Path,
-    picture: Path | None,
-    *,
-    make_keys: str | None,
-    refine: Sequence[Path],
-    cut_open: bool,
-    marks: Mapping[int, int | tuple[float, float, float]],
-) -> int:
+def _run_bind(given: Options) -> int:
     """Run `facemime bind`: bind a character, and print a line for each part and key; returns the exit status.
 
     It is `DOUBTFUL` if the face may not be where it was found.
-
-    Parameters
-    ----------
-    character : HeadFile
-        File and object of the character.
-    output : Path
-        File for the head.
-    picture : Path or None
-        File for a picture of its face.
-    make_keys : str or None
-        Name of the set of shape keys to add.
-    refine : sequence of Path
-        Takes that refine these keys.
-    cut_open : bool
-        Whether joined lips and eyes are cut open.
-    marks : mapping of int to (int or (float, float, float))
-        Vertices or positions of points of the face, by iBUG number.
     """
-    if refine and make_keys != "arkit":
+    output, picture, make_keys = given["output"], given["picture"], given["make_keys"]
+    if given["refine"] and make_keys != "arkit":
         raise FacemimeError("Takes refine ARKit's keys alone. Add --make-keys arkit, or leave out --refine.")
-    takes = [load_take(path) for path in refine]
+    takes = [load_take(path) for path in given["refine"]]
     with importing_blender("bind", "bind ..."):
         from . import character as headless
-    with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": character.path}):
+    with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": given["character"].path}):
         keys = None if make_keys is None else KEY_SETS[make_keys]
-        bound = headless.bind(character, keys=keys, takes=takes, cut_open=cut_open, marks=marks)
+        bound = headless.bind(
+            given["character"], keys=keys, takes=takes, cut_open=given["cut_open"], marks=dict(given["mark"])
+        )
         headless.save(bound, output)
         if picture is not None:
             headless.write_picture(bound, picture)

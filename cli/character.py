@@ -134,11 +134,6 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
     return obj
 
 
-def _position_of(obj: bpy.types.Object, vertex: int) -> FloatArray:
-    """Return the position of a vertex in the scene, (3,)."""
-    return np.asarray(_in_scene(obj)[vertex])
-
-
 def _in_scene(obj: bpy.types.Object) -> FloatArray:
     matrix = np.array(obj.matrix_world)
     places = np.asarray(to_blender(read_vertices(mesh_of(obj))), dtype=np.float64)
@@ -178,11 +173,11 @@ class BoundCharacter:
         """Return what to do if this may not be the face, and where the points that matter are now; "" if it is."""
         if self.binding is None or not self.binding.doubt:
             return ""
-        landmarks = read_landmarks(self.head)
-        places = {
-            number: _position_of(self.head, int(landmarks[from_ibug([number])[0]])) for number in self.binding.wanted
-        }
-        now = " ".join(f"--mark {number}={','.join(f'{value:.4g}' for value in at)}" for number, at in places.items())
+        places = _in_scene(self.head)[read_landmarks(self.head)[from_ibug(self.binding.wanted)]]
+        now = " ".join(
+            f"--mark {number}={','.join(f'{value:.4g}' for value in at)}"
+            for number, at in zip(self.binding.wanted, places, strict=True)
+        )
         return f"{self.binding.doubt}. They are at: {now}"
 
     def table(self) -> str:
@@ -247,23 +242,17 @@ def bind(
         open_file(character.path)
         chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
         with showing_scene(scene_of(chosen)):
-            return _bound_with_keys(chosen, marks, keys, takes, cut_open=cut_open)
-
-
-def _bound_with_keys(
-    chosen: bpy.types.Object, marks: Mapping[int, Mark], keys: KeySet | None, takes: Sequence[Take], *, cut_open: bool
-) -> BoundCharacter:
-    head, binding = _bound(chosen, marks)
-    if binding is None:
-        return BoundCharacter(head, None, [])
-    for step in [finding.step for finding in check_object(head)] if cut_open else []:
-        if (cut := CUTS.get(step)) is not None:
-            cut(head)
-    made = None if keys is None else make_expression_keys(head, keys, takes)
-    if made is not None:
-        tell(". ".join([made.summary(), *made.findings]))
-    findings = [*binding.findings, *check_object(head)]
-    return BoundCharacter(head, binding, [f"{finding.problem} {finding.remedy}" for finding in findings], made)
+            head, binding = _bound(chosen, marks)
+            if binding is None:
+                return BoundCharacter(head, None, [])
+            for step in [finding.step for finding in check_object(head)] if cut_open else []:
+                if (cut := CUTS.get(step)) is not None:
+                    cut(head)
+            made = None if keys is None else make_expression_keys(head, keys, takes)
+            if made is not None:
+                tell(". ".join([made.summary(), *made.findings]))
+            findings = [*binding.findings, *check_object(head)]
+            return BoundCharacter(head, binding, [f"{finding.problem} {finding.remedy}" for finding in findings], made)
 
 
 def _bound(chosen: bpy.types.Object, marks: Mapping[int, Mark]) -> tuple[bpy.types.Object, Binding | None]:
@@ -317,19 +306,15 @@ def sample(character: HeadFile, clip: str = "") -> Take:
     with read_from(character.path):
         head = open_head(character)
         _choose_clip(character.path, head, clip)
-        return _sampled(character.path, head)
-
-
-def _sampled(path: Path, head: bpy.types.Object) -> Take:
-    scene = scene_of(head)
-    sampling = Sampling(scene, head, path.name)
-    progress = Progress(f"Sampling {head.name}", len(sampling.frames))
-    with showing_scene(scene):
-        for done in sampling:
-            STOPPING.check()
-            progress.update(done)
-    progress.finish()
-    return sampling.take()
+        scene = scene_of(head)
+        sampling = Sampling(scene, head, character.path.name)
+        progress = Progress(f"Sampling {head.name}", len(sampling.frames))
+        with showing_scene(scene):
+            for done in sampling:
+                STOPPING.check()
+                progress.update(done)
+        progress.finish()
+        return sampling.take()
 
 
 def _choose_clip(path: Path, head: bpy.types.Object, name: str) -> None:

@@ -243,23 +243,19 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
     FacemimeError
         If the file cannot be read, the object does not exist, several have landmarks, or no face is found.
     """
-    with read_from(file.path):
-        return _open_head(file, by_keys)
-
-
-def _open_head(file: HeadFile, by_keys: Collection[str] | None) -> bpy.types.Object:
     path, name = file.path, file.name
-    open_file(path)
-    bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
-    if not name and len(bound) > 1:
-        raise HeadError(
-            "{path} has {bound} meshes with landmarks. Choose one: {path}:OBJECT.", path=path, bound=len(bound)
-        )
-    named = object_named(path, name) if name else None
-    chosen = bound[0] if named is None and bound else named or likely_mesh(path)
-    with showing_scene(scene_of(chosen)):
-        chosen = next(iter(heads_of([chosen])), chosen)
-        return chosen if chosen in bound else _newly_bound(path, chosen, by_keys)
+    with read_from(path):
+        open_file(path)
+        bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
+        if not name and len(bound) > 1:
+            raise HeadError(
+                "{path} has {bound} meshes with landmarks. Choose one: {path}:OBJECT.", path=path, bound=len(bound)
+            )
+        named = object_named(path, name) if name else None
+        chosen = bound[0] if named is None and bound else named or likely_mesh(path)
+        with showing_scene(scene_of(chosen)):
+            chosen = next(iter(heads_of([chosen])), chosen)
+            return chosen if chosen in bound else _newly_bound(path, chosen, by_keys)
 
 
 def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] | None) -> bpy.types.Object:

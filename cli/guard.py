@@ -13,6 +13,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from ..core.errors import SourceError
 from .stopping import LEASH, STOPPING
@@ -112,25 +113,39 @@ def _data_size() -> int | None:
     return None
 
 
-def _status_of(command: Sequence[str], mark: Path) -> int:
-    """Run a command that ends with this process, passing signals on; returns its exit status."""
-    end, held = os.pipe()  # not inherited, so that nothing else keeps it open
+@contextlib.contextmanager
+def leashed(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
+    """Run a command in a process that ends when this one does, even by a crash, as its standard input then ends.
+
+    Parameters
+    ----------
+    **options
+        Further arguments of `Popen`.
+    """
+    end, held = os.pipe()  # not inherited by other processes, so that nothing else keeps it open
     try:
-        with subprocess.Popen(command, stdin=end, env={**os.environ, LEASH: "1", _MARK: str(mark)}) as process:
-            try:
-                return process.wait()
-            except KeyboardInterrupt:
-                with contextlib.suppress(OSError):
-                    process.send_signal(signal.SIGTERM if STOPPING.status == 128 + signal.SIGTERM else signal.SIGINT)
-                try:
-                    with STOPPING.noting():
-                        return process.wait(_PATIENCE)
-                except subprocess.TimeoutExpired:
-                    process.kill()
-                    return STOPPING.status
+        environment = {**os.environ, LEASH: "1", **options.pop("env", {})}
+        with subprocess.Popen(command, stdin=end, text=True, env=environment, **options) as process:
+            yield process
     finally:
         os.close(end)
         os.close(held)
+
+
+def _status_of(command: Sequence[str], mark: Path) -> int:
+    """Run a command that ends with this process, passing signals on; returns its exit status."""
+    with leashed(command, env={_MARK: str(mark)}) as process:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            with contextlib.suppress(OSError):
+                process.send_signal(signal.SIGTERM if STOPPING.status == 128 + signal.SIGTERM else signal.SIGINT)
+            try:
+                with STOPPING.noting():
+                    return process.wait(_PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                return STOPPING.status
 
 
 def _reason(status: int) -> str:

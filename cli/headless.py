@@ -24,7 +24,7 @@ from ..blender.timeline import frames_of
 from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
-from ..core.drive.motion import select_distinct_frames
+from ..core.drive.driver import select_distinct_frames
 from ..core.errors import OutputError, SourceError
 from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
 from ..core.files.reading import read_text
@@ -124,13 +124,10 @@ def _write_others(
     if job.head is None:
         _look_through_camera()
         save_blend(job.output)
-    chosen = (
-        select_distinct_frames(report.motion, _SHEET_TILES) if job.sheet is not None else np.empty(0, dtype=np.intp)
-    )
-    sheet_frames = np.flatnonzero(take.found)[chosen]
     if job.preview is not None:
         _write_preview(scene, take, video, report.start, job.preview)
     if job.sheet is not None:
+        sheet_frames = np.flatnonzero(take.found)[select_distinct_frames(report.motion, _SHEET_TILES)]
         _write_sheet(scene, take, video, sheet_frames, report.start, job.sheet)
 
 

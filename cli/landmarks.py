@@ -20,7 +20,7 @@ from ..core.tracking.tracker import FaceTracker
 from ..core.tracking.tracking_settings import TrackingSettings
 from .console import Progress, tell
 from .job_files import outputs_of, place_beside
-from .options import Commands, add_command, add_output, add_settings, filled
+from .options import Commands, Options, add_command, add_output, add_settings, filled
 from .stopping import INTERRUPTED, STOPPING
 
 
@@ -33,28 +33,15 @@ def add_commands(commands: Commands) -> None:
         "--overlay", type=Path, metavar="DIR", help="also write copies of the images with the landmarks drawn on them"
     )
     add_settings(landmarks, TrackingSettings)
-    landmarks.set_defaults(
-        run=lambda given: _run_landmarks(
-            given["images"], given["output"], given["overlay"], filled(TrackingSettings, given)
-        )
-    )
+    landmarks.set_defaults(run=_run_landmarks)
 
 
-def _run_landmarks(images: Sequence[Path], output: Path, overlay: Path | None, settings: TrackingSettings) -> int:
-    """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status.
-
-    Parameters
-    ----------
-    images : sequence of Path
-        Images, and folders of images.
-    output : Path
-        File for the landmarks.
-    overlay : Path or None
-        Folder for copies with the landmarks drawn on them.
-    """
-    paths = _images(images)
-    with outputs_of(((output, {".npz"}),), {}):
-        return _locate(paths, output, overlay, FaceTracker.load(settings=settings))
+def _run_landmarks(given: Options) -> int:
+    """Run `facemime landmarks`: one row per image, NaN if there is no face; returns the exit status."""
+    paths = _images(given["images"])
+    with outputs_of(((given["output"], {".npz"}),), {}):
+        tracker = FaceTracker.load(settings=filled(TrackingSettings, given))
+        return _locate(paths, given["output"], given["overlay"], tracker)
 
 
 def _locate(paths: Sequence[Path], output: Path, overlay: Path | None, tracker: FaceTracker) -> int:

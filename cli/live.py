@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..core.errors import FacemimeError
 from ..core.heads.appearance import Appearance
-from ..core.puppet.head_drivers import LiveHead
-from ..core.puppet.job import HeadFile
+from ..core.puppet.outputs import LiveHead
 from ..core.puppet.worker import LiveWorker
 from ..core.streams.sender import SENT, VTUBE_STUDIO, StreamSender
 from ..core.streams.stream_settings import EXPRESSIONS, OWN, SendSettings
@@ -20,7 +19,7 @@ from ..core.streams.transport.addresses import PORT as TLS_PORT
 from ..core.streams.vertices import VERTICES, VertexSender
 from ..core.viewer.viewer_settings import PORT, ViewerSettings, as_text, kept_token, qr_code
 from .console import Progress, say, tell
-from .options import Commands, add_command, add_key_option, filled
+from .options import Commands, Options, add_command, add_key_option, filled
 from .performance import LivePerformance, add_head_option, add_source, head_to_show, watch
 from .stopping import STOPPING
 
@@ -31,46 +30,6 @@ if TYPE_CHECKING:
     Sender = StreamSender | VertexSender | TlsSender | VTubeStudioSender
     from ..core.viewer.relay import RelaySender
     from ..core.viewer.server import ViewerServer
-
-
-@dataclass(frozen=True)
-class _SendJob:
-    """A performance to send.
-
-    Attributes
-    ----------
-    performance : LivePerformance
-    head : HeadFile or None
-        Head whose vertices are sent, for `VERTICES`; None for the built-in one.
-    to : str or None
-        Address of the receiver, HOST[:PORT].
-    serve : str or None
-        Address of this computer at which to wait for receivers over TLS instead.
-    token : Path or None
-        File for the permission of VTube Studio; None for the user's settings.
-    tls : Path or None
-        Folder of the certificate for `serve`.
-    public : str
-        Address by which other networks reach this computer; "" for its own.
-    protocol : str
-        One of `SENT`, `VERTICES` or `VTUBE_STUDIO`.
-    key : Path or None
-        File with the shared key of Facemime's own protocol.
-    subject, expressions : str
-        As in `SendSettings`.
-    """
-
-    performance: LivePerformance
-    head: HeadFile | None
-    to: str | None
-    serve: str | None
-    token: Path | None
-    tls: Path | None
-    public: str
-    protocol: str
-    key: Path | None
-    subject: str
-    expressions: str
 
 
 def add_send(commands: Commands) -> None:
@@ -111,43 +70,37 @@ def add_send(commands: Commands) -> None:
         default=SendSettings.expressions,
         help=f"names of the expressions that move in VMC ({SendSettings.expressions})",
     )
-    send.set_defaults(run=lambda given: _run_send(filled(_SendJob, given)))
+    send.set_defaults(run=_run_send)
 
 
-def _run_send(job: _SendJob) -> int:
+def _run_send(given: Options) -> int:
     """Run `facemime send`: track and send until the end, Ctrl-C, or the time is over; returns the exit status."""
-    open_output = _open_sender(job) if job.serve is None else _open_server(job, job.serve)
-    source, neutral = job.performance.open()
-    worker = LiveWorker(source, neutral=neutral, options=job.performance.options)
+    performance = filled(LivePerformance, given)
+    open_output = _open_sender(given) if given["serve"] is None else _open_server(given)
+    source, neutral = performance.open()
+    worker = LiveWorker(source, neutral=neutral, options=performance.options)
     sender = open_output(worker)
-    progress = Progress(f"Sending {source.name} to {job.to or 'receivers over TLS'}")
-    with STOPPING.noting():
-        worker.start()
-        try:
-            watch(worker, lambda: (sender.sent, sender.message), progress, job.performance.seconds)
-        finally:
-            worker.close()
-            sender.close()
-    if worker.error is not None:
-        raise worker.error
+    progress = Progress(f"Sending {source.name} to {given['to'] or 'receivers over TLS'}")
+    with closing(sender), STOPPING.noting():
+        watch(worker, lambda: (sender.sent, sender.message), progress, performance.seconds)
     progress.finish(sender.message or ("" if sender.sent else "nothing was sent, as nobody answered"))
     return 0
 
 
-def _open_sender(job: _SendJob) -> Callable[[LiveWorker], Sender]:
+def _open_sender(given: Options) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker send what it tracks, or the vertices of the head that it drives."""
-    if job.tls is not None or job.public:
+    if given["tls"] is not None or given["public"]:
         raise FacemimeError("--tls and --public are for --serve. Leave them out, or use --serve instead of --to.")
-    if job.head is not None and job.protocol != VERTICES:
+    if given["head"] is not None and given["protocol"] != VERTICES:
         raise FacemimeError(
             "--head is for --protocol vertices; other protocols send the face, not a head. Leave it out."
         )
-    if job.protocol == VTUBE_STUDIO:
-        return _open_vtube_studio(job)
-    host, port = parse_address(job.to or "")
-    settings = SendSettings(job.protocol, host, port, job.key, job.subject, job.expressions)
-    if job.protocol == VERTICES:
-        return _open_vertices(settings, *head_to_show(job.head))
+    if given["protocol"] == VTUBE_STUDIO:
+        return _open_vtube_studio(given)
+    host, port = parse_address(given["to"] or "")
+    settings = filled(SendSettings, given, host=host, port=port)
+    if given["protocol"] == VERTICES:
+        return _open_vertices(settings, *head_to_show(given["head"]))
 
     def open_output(worker: LiveWorker) -> Sender:
         worker.output = sender = StreamSender(settings)
@@ -167,12 +120,12 @@ def _open_vertices(settings: SendSettings, head: LiveHead, appearance: Appearanc
     return open_output
 
 
-def _open_vtube_studio(job: _SendJob) -> Callable[[LiveWorker], Sender]:
+def _open_vtube_studio(given: Options) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker send what it tracks to VTube Studio on a computer."""
     from ..core.streams.vtube_studio_api import VTubeStudioSender  # its libraries would delay the other commands
 
-    host, port = parse_address(job.to or "")
-    token = job.token or _user_settings() / "vtube_studio_token"
+    host, port = parse_address(given["to"] or "")
+    token = given["token"] or _user_settings() / "vtube_studio_token"
 
     def open_output(worker: LiveWorker) -> Sender:
         worker.output = sender = VTubeStudioSender(host, port, token)
@@ -187,59 +140,25 @@ def _user_settings() -> Path:
     return Path(next(filter(None, places), Path.home() / ".config")) / "facemime"
 
 
-def _open_server(job: _SendJob, address: str) -> Callable[[LiveWorker], Sender]:
+def _open_server(given: Options) -> Callable[[LiveWorker], Sender]:
     """Return what makes a worker serve what it tracks over TLS, and shows the pairing line."""
     from ..core.streams.transport.security import load_identity
     from ..core.streams.transport.tls_server import TlsSender  # its libraries would delay the other commands
 
-    if job.tls is None:
+    if given["tls"] is None:
         raise FacemimeError("There is no certificate. Add --tls FOLDER; it is created there the first time.")
-    if job.protocol != OWN or job.key is not None:
+    if given["protocol"] != OWN or given["key"] is not None:
         raise FacemimeError("Over TLS, Facemime's own protocol is sent without a key. Leave out --protocol and --key.")
-    host, port = parse_address(address, TLS_PORT)
-    identity = load_identity(job.tls)
+    host, port = parse_address(given["serve"], TLS_PORT)
+    identity = load_identity(given["tls"])
 
     def open_output(worker: LiveWorker) -> Sender:
         worker.output = sender = TlsSender(host, port, identity.context, identity.token)
-        say(identity.pairing(host, sender.port, job.public).line)
+        say(identity.pairing(host, sender.port, given["public"]).line)
         tell("facemime: paste this line on the other computer. Anyone who has it can receive.")
         return sender
 
     return open_output
-
-
-@dataclass(frozen=True)
-class _ServeJob:
-    """A performance to show in browsers.
-
-    Attributes
-    ----------
-    performance : LivePerformance
-    head : HeadFile or None
-        The head; None for the built-in one.
-    listen : str
-        Address of this computer, HOST[:PORT]; "" for this computer alone.
-    cert, key : Path or None
-        PEM files for HTTPS.
-    token : Path or None
-        File that keeps the secret in the address.
-    relay : str
-        Address of a relay to send to instead, ws:// or wss://; "" for none.
-    site : Path or None
-        Folder for its secrets and its page.
-    translation : bool
-        Whether the head moves as well as turns.
-    """
-
-    performance: LivePerformance
-    head: HeadFile | None
-    listen: str
-    cert: Path | None
-    key: Path | None
-    token: Path | None
-    relay: str
-    site: Path | None
-    translation: bool
 
 
 def add_serve(commands: Commands) -> None:
@@ -271,51 +190,46 @@ def add_serve(commands: Commands) -> None:
         "--site", type=Path, metavar="FOLDER", help="folder for the relay's configuration and the page to publish"
     )
     serve.add_argument("--translation", action="store_true", help="also move the head, instead of only rotating it")
-    serve.set_defaults(run=lambda given: _run_serve(filled(_ServeJob, given)))
+    serve.set_defaults(run=_run_serve)
 
 
-def _run_serve(job: _ServeJob) -> int:
+def _run_serve(given: Options) -> int:
     """Run `facemime serve` until the end, Ctrl-C, or the time is over; returns the exit status."""
-    if bool(job.relay) != (job.site is not None):
+    if bool(given["relay"]) != (given["site"] is not None):
         raise FacemimeError("A relay needs a folder for its page. Give both --relay URL and --site FOLDER.")
-    if job.relay and (job.listen or job.token is not None):
+    if given["relay"] and (given["listen"] or given["token"] is not None):
         raise FacemimeError("--listen and --token are for the viewer's own server. Leave them out, or --relay.")
-    head, appearance = head_to_show(job.head)
-    source, neutral = job.performance.open()
-    server, announce = _server(job, appearance) if job.site is None else _relay(job, job.site, appearance)
+    head, appearance = head_to_show(given["head"])
+    performance = filled(LivePerformance, given)
+    source, neutral = performance.open()
+    server, announce = _server(given, appearance) if given["site"] is None else _relay(given, appearance)
     with server, STOPPING.noting():
-        server.follow = (True, job.translation)
-        worker = LiveWorker(source, neutral=neutral, heads=(head,), options=job.performance.options)
+        server.follow = (True, given["translation"])
+        worker = LiveWorker(source, neutral=neutral, heads=(head,), options=performance.options)
         worker.displays = (server,)
         announce()
         progress = Progress(f"Serving {source.name}")
-        worker.start()
-        try:
-            watch(worker, lambda: (server.sent, server.message), progress, job.performance.seconds)
-        finally:
-            worker.close()
-    if worker.error is not None:
-        raise worker.error
+        watch(worker, lambda: (server.sent, server.message), progress, performance.seconds)
     progress.finish(server.message)
     return 0
 
 
-def _server(job: _ServeJob, appearance: Appearance) -> tuple[ViewerServer, Callable[[], None]]:
+def _server(given: Options, appearance: Appearance) -> tuple[ViewerServer, Callable[[], None]]:
     """Return the viewer's own server, and what prints the address of the page."""
     from ..core.viewer.server import ViewerServer  # its libraries would delay the other commands
 
-    host, port = parse_address(job.listen or LOOPBACK, PORT)
-    token = "" if job.token is None else kept_token(job.token)
-    server = ViewerServer(ViewerSettings(host, port, token, job.cert, job.key), [appearance])
+    host, port = parse_address(given["listen"] or LOOPBACK, PORT)
+    token = "" if given["token"] is None else kept_token(given["token"])
+    server = ViewerServer(ViewerSettings(host, port, token, given["cert"], given["key"]), [appearance])
     return server, lambda: _announce(server)
 
 
-def _relay(job: _ServeJob, folder: Path, appearance: Appearance) -> tuple[RelaySender, Callable[[], None]]:
+def _relay(given: Options, appearance: Appearance) -> tuple[RelaySender, Callable[[], None]]:
     """Return the sender to the relay, and what prints the folder of the page, whose name is all that viewers need."""
     from ..core.viewer.relay import RelaySender
     from ..core.viewer.site import Relay, Site
 
-    site = Site(folder, Relay(job.relay, job.cert, job.key))
+    site = Site(given["site"], Relay(given["relay"], given["cert"], given["key"]))
 
     def announce() -> None:
         say(str(site.page))

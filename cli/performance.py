@@ -13,8 +13,8 @@ from ..core.heads.appearance import Appearance, built_in_appearance
 from ..core.heads.key_map import ESSENTIAL
 from ..core.heads.rig import built_in_head
 from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
-from ..core.puppet.head_drivers import LiveHead
 from ..core.puppet.job import HeadFile
+from ..core.puppet.outputs import LiveHead
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.puppet.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.puppet.worker import LiveOptions, LiveWorker
@@ -136,7 +136,7 @@ def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
 
 
 def watch(worker: LiveWorker, state: Callable[[], tuple[int, str]], progress: Progress, seconds: float | None) -> None:
-    """Show progress until the worker ends, a signal comes, or the time is over.
+    """Run a worker and show progress until it ends, a signal comes, or the time is over; raises its error.
 
     Parameters
     ----------
@@ -146,13 +146,19 @@ def watch(worker: LiveWorker, state: Callable[[], tuple[int, str]], progress: Pr
     progress : Progress
     seconds : float or None
     """
-    end, told = monotonic() + (seconds if seconds is not None else float("inf")), ""
-    while worker.running and not STOPPING.heard and monotonic() < end:
-        time.sleep(LOOK)
-        done, trouble = state()
-        progress.update(done)
-        if (message := worker.message or trouble) != told:
-            told = message
-            if message:
-                tell(f"facemime: {for_terminal(message)}")
-    progress.update(state()[0])
+    worker.start()
+    try:
+        end, told = monotonic() + (seconds if seconds is not None else float("inf")), ""
+        while worker.running and not STOPPING.heard and monotonic() < end:
+            time.sleep(LOOK)
+            done, trouble = state()
+            progress.update(done)
+            if (message := worker.message or trouble) != told:
+                told = message
+                if message:
+                    tell(f"facemime: {for_terminal(message)}")
+        progress.update(state()[0])
+    finally:
+        worker.close()
+    if worker.error is not None:
+        raise worker.error

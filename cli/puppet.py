@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.files.capture import PICTURE_RATE, require_utf8_name
@@ -29,6 +28,7 @@ from .job_files import (
 )
 from .options import (
     Commands,
+    Options,
     add_command,
     add_face_option,
     add_neutral_option,
@@ -40,31 +40,6 @@ from .options import (
     number,
     puppet_job,
 )
-
-
-@dataclass(frozen=True)
-class _TrackJob:
-    """A video to track.
-
-    Attributes
-    ----------
-    video, output : Path
-        The video, or a folder of pictures, and the file for the take.
-    face : (float, float) or None
-        As for `FaceTracker.choose`.
-    faces : {"one", "all"}
-        Whether to write a take of everybody, numbered.
-    rate : float
-        Frames per second of pictures.
-    smooth : bool
-    """
-
-    video: Path
-    output: Path
-    face: tuple[float, float] | None
-    faces: str
-    rate: float
-    smooth: bool
 
 
 def add_commands(commands: Commands) -> None:
@@ -94,7 +69,7 @@ def add_commands(commands: Commands) -> None:
         help=f"frames per second of pictures ({PICTURE_RATE:g})",
     )
     add_settings(track, TrackingSettings)
-    track.set_defaults(run=lambda given: _run_track(filled(_TrackJob, given), filled(TrackingSettings, given)))
+    track.set_defaults(run=_run_track)
 
     puppet = add_command(commands, "puppet", "animate a head from a video or a take")
     puppet.add_argument("source", type=Path, metavar="VIDEO|TAKE", help="a video, or a take from track")
@@ -115,28 +90,28 @@ def add_commands(commands: Commands) -> None:
     puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
 
 
-def _run_track(job: _TrackJob, settings: TrackingSettings) -> int:
+def _run_track(given: Options) -> int:
     """Run `facemime track`: write a video as a take, or as one of everybody; returns the exit status."""
-    unfinished = unfinished_beside(job.output)
-    with outputs_of(((job.output, {SUFFIX}),), {"the video that is tracked": job.video}, unfinished):
-        if job.faces == "all":
-            takes = track_everybody(job.video, unfinished, settings, job.rate)
-            finished = [_finish(grown, numbered(job.output, i), take, job) for i, (grown, take) in enumerate(takes)]
-            return max(finished)
+    video, output, settings = given["video"], given["output"], filled(TrackingSettings, given)
+    unfinished = unfinished_beside(output)
+    with outputs_of(((output, {SUFFIX}),), {"the video that is tracked": video}, unfinished):
+        if given["faces"] == "all":
+            takes = track_everybody(video, unfinished, settings, given["rate"])
+            return max(_finish(grown, numbered(output, i), take, given) for i, (grown, take) in enumerate(takes))
         with growing(unfinished) as unfinished:
-            take = track(job.video, unfinished, job.face, settings, job.rate)
-            return _finish(unfinished, job.output, take, job)
+            take = track(video, unfinished, given["face"], settings, given["rate"])
+            return _finish(unfinished, output, take, given)
 
 
-def _finish(unfinished: Path, output: Path, take: Take, job: _TrackJob) -> int:
+def _finish(unfinished: Path, output: Path, take: Take, given: Options) -> int:
     """Smooth a take if that was asked for, and give its file the name `output`; returns the exit status."""
-    if job.smooth:
+    if given["smooth"]:
         take = smooth_take(take)
         save_take(take, unfinished)
     if take.info.get("interrupted"):
         return keep_interrupted(take, unfinished, place_beside(output, SUFFIX))
     settle(unfinished, output)
-    if job.faces == "all":
+    if given["faces"] == "all":
         tell(f"{output}: a face in {int(take.found.sum())} of {len(take)} frames")
     return 0
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 
@@ -29,28 +28,6 @@ _FLUSH = 1.0
 """Seconds after which what was received is on the disk."""
 
 
-@dataclass(frozen=True)
-class _ReceiveJob:
-    """Streams to record.
-
-    Attributes
-    ----------
-    settings : StreamSettings
-        Where the streams come from, with a sender for each take.
-    outputs : sequence of Path
-        The takes.
-    seconds : float or None
-        Time after which to stop; None for a signal.
-    watch : bool
-        Whether to show the values that arrive.
-    """
-
-    settings: StreamSettings
-    outputs: Sequence[Path]
-    seconds: float | None
-    watch: bool = False
-
-
 def add_commands(commands: Commands) -> None:
     """Add the command to the parser."""
     receive = add_command(commands, "receive", "record the faces that another computer, program or phone sends")
@@ -58,6 +35,7 @@ def add_commands(commands: Commands) -> None:
         *("-o", "--output"),
         type=Path,
         action="append",
+        default=[],
         metavar="TAKE.facetake",
         help="the take; Ctrl-C ends it. Repeat the option to record several senders, one take for each",
     )
@@ -100,11 +78,12 @@ def _run_receive(options: Options) -> int:
             f"facemime: {options['new_key']} is a new key. Copy it to the other computer over a channel that you trust."
         )
         return 0
-    return record(_job(options))
+    return _record_streams(options, _settings(options))
 
 
-def _job(options: Options) -> _ReceiveJob:
-    outputs, senders = options["output"] or (), options["sender"]
+def _settings(options: Options) -> StreamSettings:
+    """Return where the streams come from, with a sender for each take."""
+    outputs, senders = options["output"], options["sender"]
     if not outputs and not options["watch"]:
         raise OutputError("There is no output. Add -o TAKE.facetake, or --watch to only see the values.")
     if len(senders) > max(len(outputs), 1):
@@ -113,23 +92,18 @@ def _job(options: Options) -> _ReceiveJob:
     if unknown := set(flip) - set(AXES):
         raise FacemimeError("{unknown} cannot be flipped. Use pitch, yaw and roll.", unknown=", ".join(sorted(unknown)))
     host, port = parse_address(options["listen"] or LOOPBACK)
-    return _ReceiveJob(
-        filled(
-            StreamSettings,
-            {name: value for name, value in options.items() if name != "sender"},
-            host=host,
-            port=port,
-            flip=flip,
-            senders=(*senders, *[""] * (max(len(outputs), 1) - len(senders))),
-            pairing=parse_pairing(options["pairing"]) if options["pairing"] else None,
-        ),
-        outputs,
-        options["seconds"],
-        options["watch"],
+    return filled(
+        StreamSettings,
+        {name: value for name, value in options.items() if name != "sender"},
+        host=host,
+        port=port,
+        flip=flip,
+        senders=(*senders, *[""] * (max(len(outputs), 1) - len(senders))),
+        pairing=parse_pairing(options["pairing"]) if options["pairing"] else None,
     )
 
 
-def record(job: _ReceiveJob) -> int:
+def _record_streams(options: Options, settings: StreamSettings) -> int:
     """Record until a signal, or the time is over; returns the exit status.
 
     Raises
@@ -137,20 +111,21 @@ def record(job: _ReceiveJob) -> int:
     FacemimeError
         If nothing came, or a take cannot be written.
     """
-    source = StreamSource(job.settings, every=True)
-    unfinished = [unfinished_beside(output) for output in job.outputs]
+    outputs: list[Path] = options["output"]
+    source = StreamSource(settings, every=True)
+    unfinished = [unfinished_beside(output) for output in outputs]
     with (
-        outputs_of([(output, {SUFFIX}) for output in job.outputs], {"the key": job.settings.key}, *unfinished),
+        outputs_of([(output, {SUFFIX}) for output in outputs], {"the key": settings.key}, *unfinished),
         ExitStack() as stack,
     ):
         paths = [stack.enter_context(growing(path)) for path in unfinished]
         try:
-            counts = _record(source, paths, job)
+            counts = _record(source, paths, options)
         finally:
             source.close()
         if not any(counts):
             raise FacemimeError(source.problem)
-        for path, output, count in zip(paths, job.outputs, counts, strict=False):  # without outputs, one is counted
+        for path, output, count in zip(paths, outputs, counts, strict=False):  # without outputs, one is counted
             if count:
                 settle(path, output)
             else:
@@ -158,11 +133,11 @@ def record(job: _ReceiveJob) -> int:
     return 0
 
 
-def _record(source: StreamSource, paths: Sequence[Path], job: _ReceiveJob) -> list[int]:
+def _record(source: StreamSource, paths: Sequence[Path], options: Options) -> list[int]:
     """Record what comes into a take for each sender, if there are takes; returns the numbers of frames."""
     progress = Progress(f"Receiving {source.name}")
-    end = monotonic() + (job.seconds if job.seconds is not None else float("inf"))
-    screen = Screen() if job.watch else None
+    end = monotonic() + (float("inf") if options["seconds"] is None else options["seconds"])
+    screen = Screen() if options["watch"] else None
     counts = [0] * max(len(paths), 1)
     writers: dict[int, TakeWriter] = {}
     first, last, told = 0.0, monotonic(), ""

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
 from ..core.errors import FacemimeError
-from .guard import own_command
-from .stopping import LEASH
+from .guard import leashed, own_command
 
 _LINES = 12
 _PATIENCE = 10.0
@@ -128,24 +126,9 @@ def run_line(line: list[str]) -> tuple[int, str]:
     return process.returncode, _last(said)
 
 
-@contextmanager
-def _started(line: Sequence[str]) -> Iterator[subprocess.Popen[str]]:
-    """A process that runs `line`, and ends when this one does, even by a crash, as its standard input then ends."""
-    end, held = os.pipe()  # not inherited by other processes, so that nothing else keeps it open
-    try:
-        with subprocess.Popen(
-            [*own_command(), *line],
-            stdin=end,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.PIPE,
-            text=True,
-            errors="replace",
-            env={**os.environ, LEASH: "1"},
-        ) as process:
-            yield process
-    finally:
-        os.close(end)
-        os.close(held)
+def _started(line: Sequence[str]) -> AbstractContextManager[subprocess.Popen[str]]:
+    output = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "errors": "replace"}
+    return leashed([*own_command(), *line], **output)
 
 
 def _last(said: str) -> str:

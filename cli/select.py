@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 from ..core.control_points.greedy import GreedySelection
@@ -19,37 +17,7 @@ from ..core.puppet.job import HeadFile
 from ..core.takes.neutral import calibrate
 from .console import say, tell
 from .job_files import importing_blender, load_with_warnings, outputs_of
-from .options import Commands, add_command, add_neutral_option, add_preset_option, add_settings, filled, head_file
-
-
-@dataclass(frozen=True)
-class _SelectJob:
-    """Control points to select.
-
-    Attributes
-    ----------
-    take : Path
-    output : Path or None
-        File for the control points.
-    head : HeadFile or None
-        The head; None for the built-in one.
-    settings : SelectionSettings
-    kernel : str or None
-        Kernel that the points are meant for; None for that of the search.
-    add, remove : sequence of int
-        Landmarks that are always, and never, control points.
-    neutral : float or None
-        Start of the second with the neutral face, seconds; None detects it.
-    """
-
-    take: Path
-    output: Path | None
-    head: HeadFile | None
-    settings: SelectionSettings
-    kernel: str | None
-    add: Sequence[int]
-    remove: Sequence[int]
-    neutral: float | None
+from .options import Commands, Options, add_command, add_neutral_option, add_preset_option, add_settings, head_file
 
 
 def add_commands(commands: Commands) -> None:
@@ -70,27 +38,28 @@ def add_commands(commands: Commands) -> None:
     ):
         select.add_argument(option, type=parse_landmarks, default=(), metavar=example, help=text)
     add_neutral_option(select)
-    select.set_defaults(run=lambda given: _run_select(filled(_SelectJob, given)))
+    select.set_defaults(run=_run_select)
 
 
-def _run_select(job: _SelectJob) -> int:
+def _run_select(given: Options) -> int:
     """Run `facemime select`: choose control points, and print a line per step; returns the exit status."""
-    inputs = {"the take that is read": job.take, "the file of the head": None if job.head is None else job.head.path}
-    with outputs_of(((job.output, {".json"}),), inputs):
-        take = load_with_warnings(job.take)
+    inputs = {
+        "the take that is read": given["take"],
+        "the file of the head": None if given["head"] is None else given["head"].path,
+    }
+    with outputs_of(((given["output"], {".json"}),), inputs):
+        take = load_with_warnings(given["take"])
         selection = select_control_points(
-            built_in_head() if job.head is None else _rig_of(job.head),
+            built_in_head() if given["head"] is None else _rig_of(given["head"]),
             take,
-            neutral=calibrate(take, job.neutral),
-            tolerance=job.settings.tolerance,
-            max_points=job.settings.max_points,
-            always=job.add,
-            never=job.remove,
-            search=job.settings.search,
-            kernel=job.kernel,
+            neutral=calibrate(take, given["neutral"]),
+            always=given["add"],
+            never=given["remove"],
+            **{name: given[name] for name in settings_of(SelectionSettings)},
+            kernel=given["kernel"],
         )
-        if job.output is not None:
-            with replacing(job.output) as temporary:
+        if given["output"] is not None:
+            with replacing(given["output"]) as temporary:
                 temporary.write_text(to_json(selection) + "\n", encoding="utf-8")
     say(_table(selection))
     if not selection.reached:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,51 +30,11 @@ from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
 from .console import tell
 from .job_files import importing_blender, load_with_warnings, outputs_of
-from .options import Commands, add_command, add_output, add_settings, filled, head_file, number
+from .options import Commands, Options, add_command, add_output, add_settings, filled, head_file, number
 
 Span = tuple[float, float]
 """Start and end in seconds, infinite if they were omitted."""
 _EVERYTHING: Span = (-math.inf, math.inf)
-
-
-@dataclass(frozen=True)
-class _MendJob:
-    """A take to mend.
-
-    Attributes
-    ----------
-    take, output : Path
-    mending : Mending
-        What to do to it.
-    punch_in : Path or None
-        Another take to insert.
-    at : Span or None
-        Span to insert; None for the whole other take.
-    blend : float
-        Seconds over which the takes blend into each other.
-    trim : Span or None
-        Span to keep.
-    shift : float
-        Seconds by which the take is shifted to later times.
-    rate : float or None
-        Frames per second to resample to.
-    anonymous : bool
-        Whether names, dates and the shape of the face are removed.
-    figure : Path or None
-        File for curves of the motion before and after.
-    """
-
-    take: Path
-    output: Path
-    mending: Mending
-    punch_in: Path | None
-    at: Span | None
-    blend: float
-    trim: Span | None
-    shift: float
-    rate: float | None
-    anonymous: bool
-    figure: Path | None
 
 
 def add_commands(commands: Commands) -> None:
@@ -128,7 +87,7 @@ def add_commands(commands: Commands) -> None:
     mend.add_argument("--rate", type=float, metavar="FPS", help="resample to an even rate")
     mend.add_argument("--anonymous", action="store_true", help="remove names, dates and the shape of the face")
     mend.add_argument("--figure", type=Path, metavar="CURVES.png", help="also draw the motion before and after")
-    mend.set_defaults(run=lambda given: _run_mend(filled(_MendJob, given)))
+    mend.set_defaults(run=_run_mend)
 
     export = add_command(commands, "export", "write a take as a CSV table")
     export.add_argument("take", type=Path, metavar="TAKE.facetake", help="a take, from track")
@@ -143,7 +102,7 @@ def add_commands(commands: Commands) -> None:
     export.add_argument(
         "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
     )
-    export.set_defaults(run=lambda given: _run_export(*(given[name] for name in ("take", "output", "columns", "rate"))))
+    export.set_defaults(run=_run_export)
 
     read = add_command(commands, "import", "write a recording of another program or an animation as a take")
     read.add_argument(
@@ -162,63 +121,53 @@ def add_commands(commands: Commands) -> None:
         default=AUTOMATIC,
         help="unit of the rotation of the head in a table (decided by its values)",
     )
-    read.set_defaults(run=lambda given: _run_import(*(given[name] for name in ("source", "output", "clip", "angles"))))
+    read.set_defaults(run=_run_import)
 
 
-def _run_mend(job: _MendJob) -> int:
+def _run_mend(given: Options) -> int:
     """Run `facemime mend`: mend a take; returns the exit status."""
-    outputs = ((job.output, {SUFFIX}), (job.figure, {".png", ".jpg"}))
-    inputs = {"the take that is mended": job.take, "the take that is inserted": job.punch_in}
+    outputs = ((given["output"], {SUFFIX}), (given["figure"], {".png", ".jpg"}))
+    inputs = {"the take that is mended": given["take"], "the take that is inserted": given["punch_in"]}
     with outputs_of(outputs, inputs):
-        take = load_with_warnings(job.take)
-        mended = _mended(take, job)
-        save_take(mended, job.output)
-        if job.figure is not None:
-            write_image(job.figure, draw_before_after(take, mended))
+        take = load_with_warnings(given["take"])
+        mended = _mended(take, given)
+        save_take(mended, given["output"])
+        if given["figure"] is not None:
+            write_image(given["figure"], draw_before_after(take, mended))
     lost = len(mended) - int(mended.found.sum())
     tell(f"{len(mended)} frames, {lost} without a face ({len(take) - int(take.found.sum())} before)")
     return 0
 
 
-def _mended(take: Take, job: _MendJob) -> Take:
-    if job.at is not None and job.punch_in is None:
+def _mended(take: Take, given: Options) -> Take:
+    if given["at"] is not None and given["punch_in"] is None:
         raise FacemimeError("--at needs another take to insert. Add --punch-in.")
-    if job.mending.cutoffs and job.mending.smoothing != "zero-phase":
+    if given["cutoffs"] and given["smoothing"] != "zero-phase":
         raise FacemimeError("--cutoff is for smoothing without delay. Add --smooth zero-phase.")
-    if job.punch_in is not None:
-        insert = load_with_warnings(job.punch_in)
-        start, end = _EVERYTHING if job.at is None else job.at
+    if given["punch_in"] is not None:
+        insert = load_with_warnings(given["punch_in"])
+        start, end = _EVERYTHING if given["at"] is None else given["at"]
         start = start if math.isfinite(start) else float(insert.times[0])
         end = end if math.isfinite(end) else float(insert.times[-1])
-        take = punch_in(take, insert, start, end, job.blend)
-    take = mend(take, job.mending)
-    if job.trim is not None:
-        take = trim(take, *job.trim)
-    if job.shift:
-        take = shift_time(take, job.shift)
-    if job.rate is not None:
-        take = resample(take, job.rate)
-    return anonymise(take) if job.anonymous else take
+        take = punch_in(take, insert, start, end, given["blend"])
+    take = mend(take, filled(Mending, given))
+    if given["trim"] is not None:
+        take = trim(take, *given["trim"])
+    if given["shift"]:
+        take = shift_time(take, given["shift"])
+    if given["rate"] is not None:
+        take = resample(take, given["rate"])
+    return anonymise(take) if given["anonymous"] else take
 
 
-def _run_export(take: Path, output: Path, columns: str, rate: float) -> int:
-    """Run `facemime export`: write a take as a table; returns the exit status.
-
-    Parameters
-    ----------
-    output : Path
-        File for the table.
-    columns : str
-        "all", "coefficients", "livelink" or "openface".
-    rate : float
-        Rate of the timecode, frames per second.
-    """
-    with outputs_of(((output, {".csv"}),), {"the take that is exported": take}):
-        loaded = load_with_warnings(take)
-        if columns == "all":
-            to_csv(loaded, output)
+def _run_export(given: Options) -> int:
+    """Run `facemime export`: write a take as a table; returns the exit status."""
+    with outputs_of(((given["output"], {".csv"}),), {"the take that is exported": given["take"]}):
+        take = load_with_warnings(given["take"])
+        if given["columns"] == "all":
+            to_csv(take, given["output"])
         else:
-            _export_coefficients(loaded, output, columns, rate)
+            _export_coefficients(take, given["output"], given["columns"], given["rate"])
     return 0
 
 
@@ -243,28 +192,17 @@ def _export_coefficients(take: Take, output: Path, columns: str, rate: float) ->
     write_coefficient_csv(output, seen.times, values, turns, np.array(eyes), live_link=live_link, rate=rate)
 
 
-def _run_import(source: HeadFile, output: Path, clip: str = "", angles: str = AUTOMATIC) -> int:
-    """Run `facemime import`: write a recording, or the motion of a face in an animation, as a take.
-
-    Parameters
-    ----------
-    source : HeadFile
-        A recording or a table, or an animation and its object.
-    output : Path
-        File for the take.
-    clip : str
-        Name of the clip of an animation; by default what plays in the file.
-    angles : str
-        Unit of the rotation of the head in a table.
-    """
+def _run_import(given: Options) -> int:
+    """Run `facemime import`: write a recording, or the motion of a face in an animation, as a take."""
+    source, clip = given["source"], given["clip"]
     is_recording = source.path.suffix.lower() in RECORDINGS
     if is_recording and clip:
         raise FacemimeError("A recording has no clips. Leave out --clip.")
     described = "the recording that is imported" if is_recording else "the animation that is imported"
-    with outputs_of(((output, {SUFFIX}),), {described: source.path}):
+    with outputs_of(((given["output"], {SUFFIX}),), {described: source.path}):
         check_readable(source.path)
-        take = read_recording(source.path, angles) if is_recording else _sampled(source, clip)
-        save_take(take, output)
+        take = read_recording(source.path, given["angles"]) if is_recording else _sampled(source, clip)
+        save_take(take, given["output"])
     for note in take.info.get("notes", []):
         tell(f"facemime: {note}")
     return 0

@@ -36,19 +36,14 @@ from .shared import (
     required_subject,
     subject,
 )
-from .takes import OnTake
+from .takes import OnTake, require_take
 
 
 class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
     """Bake the selected take to the active head and all other selected heads"""
 
-    bl_idname = "facemime.bake_take"
     bl_label = "Bake Take"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode, a head and a take."""
-        return require_object_mode(cls, context) and require_heads(cls, context) and super().poll(context)
+    needs = (require_object_mode, require_heads, require_take)
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
@@ -72,7 +67,6 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
     """Mute actions and NLA tracks that move the character's shape keys in addition to the bake"""
 
-    bl_idname = "facemime.mute_others"
     bl_label = "Mute Other Animation"
 
     needs_landmarks = False
@@ -86,7 +80,6 @@ class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
     """Fill the key mapping from the preset that best fits the names of the head's shape keys"""
 
-    bl_idname = "facemime.detect_key_map"
     bl_label = "Detect Mapping"
 
     needs_landmarks = False
@@ -108,7 +101,6 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
 class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
     """Add a row to the key mapping"""
 
-    bl_idname = "facemime.add_key_row"
     bl_label = "Add Row"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -121,7 +113,6 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
     """Remove the selected row from the key mapping"""
 
-    bl_idname = "facemime.remove_key_row"
     bl_label = "Remove Row"
 
     @classmethod
@@ -140,7 +131,6 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
     """Import a key mapping from a file"""
 
-    bl_idname = "facemime.import_key_map"
     bl_label = "Import Mapping"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
@@ -153,7 +143,6 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
     """Export the key mapping to a file"""
 
-    bl_idname = "facemime.export_key_map"
     bl_label = "Export Mapping"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
@@ -167,7 +156,6 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
 class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
     """Add the current values of the head's shape keys as the pose that the take should give at the current frame"""
 
-    bl_idname = "facemime.add_key_pose"
     bl_label = "Add Pose"
 
     @classmethod
@@ -190,7 +178,6 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
 class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
     """Adjust the gains of the key mapping to reproduce the added poses; the rest is left unchanged"""
 
-    bl_idname = "facemime.learn_key_map"
     bl_label = "Learn from Poses"
 
     @classmethod
@@ -255,7 +242,6 @@ class _OnTakesVideo(AsksForFile, OnTake):
 class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
     """Add the sound of the take's video, or a sound file next to it, to the Sequencer in sync with the take"""
 
-    bl_idname = "facemime.add_sound"
     bl_label = "Add Sound"
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
@@ -273,31 +259,11 @@ class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
 class FACEMIME_OT_add_reference(_OnTakesVideo, bpy.types.Operator):
     """Show the take's video next to the active head, in sync with the take"""
 
-    bl_idname = "facemime.add_reference"
     bl_label = "Add Reference"
+    needs = (require_heads, require_take)
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head and a take."""
-        return require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         add_reference(scene, *self.video(scene), heads_in(context)[0], take_start(scene))
-
-
-CLASSES = (
-    FACEMIME_OT_bake_take,
-    FACEMIME_OT_mute_others,
-    FACEMIME_OT_detect_key_map,
-    FACEMIME_OT_add_key_row,
-    FACEMIME_OT_remove_key_row,
-    FACEMIME_OT_import_key_map,
-    FACEMIME_OT_export_key_map,
-    FACEMIME_OT_add_key_pose,
-    FACEMIME_OT_learn_key_map,
-    FACEMIME_OT_add_sound,
-    FACEMIME_OT_add_reference,
-)

@@ -26,17 +26,12 @@ _POSES = (
 class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
     """Calibrate to the performer's face after a countdown"""
 
-    bl_idname = "facemime.calibrate"
     bl_label = "Calibrate"
     bl_options = {"REGISTER"}
+    needs = (require_puppet,)
 
     pose: EnumProperty(name="Pose", items=_POSES)
     countdown: FloatProperty(name="Countdown", default=COUNTDOWN, min=0.0, max=60.0, subtype="TIME_ABSOLUTE")
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet."""
-        return require_puppet(cls)
 
     @classmethod
     def description(cls, context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
@@ -51,7 +46,6 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
     """Remove the calibration of the selected performer, and everything learnt about them"""
 
-    bl_idname = "facemime.reset_calibration"
     bl_label = "Reset Calibration"
 
     @classmethod
@@ -71,7 +65,6 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_add_performer(bpy.types.Operator):
     """Add a performer with a separate calibration"""
 
-    bl_idname = "facemime.add_performer"
     bl_label = "Add Performer"
     bl_options = {"REGISTER", "UNDO"}
 
@@ -86,7 +79,6 @@ class FACEMIME_OT_add_performer(bpy.types.Operator):
 class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
     """Remove the selected performer and their calibration"""
 
-    bl_idname = "facemime.remove_performer"
     bl_label = "Remove Performer"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -97,7 +89,6 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_clear_calibrations(ReportsErrors, bpy.types.Operator):
     """Remove the faces of all performers from the .blend file; they are kept until Blender quits"""
 
-    bl_idname = "facemime.clear_calibrations"
     bl_label = "Remove Faces from File"
 
     @classmethod
@@ -108,12 +99,3 @@ class FACEMIME_OT_clear_calibrations(ReportsErrors, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         """Remove them from all scenes."""
         clear_file()
-
-
-CLASSES = (
-    FACEMIME_OT_calibrate,
-    FACEMIME_OT_reset_calibration,
-    FACEMIME_OT_add_performer,
-    FACEMIME_OT_remove_performer,
-    FACEMIME_OT_clear_calibrations,
-)

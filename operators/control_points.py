@@ -22,7 +22,7 @@ from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import puppet_settings
 from .puppet import require_puppet, required_puppet
-from .shared import AsksForFile, OnHead, OnMesh, report, require, required_subject, subject
+from .shared import AsksForFile, OnHead, OnMesh, report, require, require_mesh, required_subject, subject
 
 
 @with_settings(SelectionSettings)
@@ -70,7 +70,6 @@ class _SelectsPoints(OnMesh):
 class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.Operator):
     """Select the landmarks that control the active head in a take; the others follow them"""
 
-    bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
 
     take: IntProperty(
@@ -95,20 +94,15 @@ class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.O
 class FACEMIME_OT_select_live_points(_SelectsPoints, bpy.types.Operator):
     """Select the control points from the last seconds of the puppet; make varied expressions for a few seconds first"""
 
-    bl_idname = "facemime.select_live_points"
     bl_label = "Select from Live"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet and a mesh."""
-        return require_puppet(cls) and super().poll(context)
+    needs = (require_puppet, require_mesh)
 
     def performance(self, context: bpy.types.Context) -> tuple[Take, Neutral]:
         """Return the last seconds of the session and its neutral face."""
         worker = required_puppet().worker
-        if worker.neutral is None:
+        if worker.first.neutral is None:
             raise HeadError("There is no neutral face yet. Wait until the head moves.")
-        return worker.recent_take(), worker.neutral
+        return worker.recent_take(), worker.first.neutral
 
 
 class _OnLandmark(OnHead):
@@ -124,7 +118,6 @@ class _OnLandmark(OnHead):
 class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
     """Make the selected landmark a control point"""
 
-    bl_idname = "facemime.add_control_point"
     bl_label = "Add Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -138,7 +131,6 @@ class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
 class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
     """Remove the selected landmark from the control points, so that it follows the others"""
 
-    bl_idname = "facemime.drop_control_point"
     bl_label = "Remove Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -149,7 +141,6 @@ class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
 class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
     """Select a landmark by clicking on the head"""
 
-    bl_idname = "facemime.pick_landmark"
     bl_label = "Pick on Head"
     bl_options = {"REGISTER"}
 
@@ -204,18 +195,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
 class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     """Make all 66 landmarks control points of the active head"""
 
-    bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"
 
     def work(self, context: bpy.types.Context) -> None:
         write_selection(mesh_of(subject(context)), None)
-
-
-CLASSES = (
-    FACEMIME_OT_select_control_points,
-    FACEMIME_OT_select_live_points,
-    FACEMIME_OT_use_all_landmarks,
-    FACEMIME_OT_add_control_point,
-    FACEMIME_OT_drop_control_point,
-    FACEMIME_OT_pick_landmark,
-)

@@ -26,8 +26,8 @@ from .steps import WorksInSteps
 class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     """Add a head that is ready to be driven, with landmarks, regions, eyes, teeth and a tongue"""
 
-    bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
+    needs = (require_object_mode,)
 
     person: EnumProperty(
         name="Person",
@@ -41,11 +41,6 @@ class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     frame_view: BoolProperty(
         name="Frame in View", description="Frame the head, which is life-size, from the front", default=True
     )
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode."""
-        return require_object_mode(cls, context)
 
     def status(self) -> str:
         return _("Facemime: adding the head")
@@ -84,16 +79,11 @@ def _frame_selected(context: bpy.types.Context) -> None:
 class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
     """Import a FaceGen head: a .tri file with its morphs and the .egm file next to it, or an OBJ file"""
 
-    bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
+    needs = (require_object_mode,)
 
     filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
     scale: FloatProperty(name="Scale", description="Metres per unit of the file", default=MILLIMETRE, min=1e-6)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode."""
-        return require_object_mode(cls, context)
 
     def work(self, context: bpy.types.Context) -> None:
         """Import the head."""
@@ -105,25 +95,13 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
     """Export the selected heads as glTF, with parts, bones, shape keys, and the frame range as one animation"""
 
-    bl_idname = "facemime.export_gltf"
     bl_label = "Export glTF"
+    needs = (require_object_mode, require_no_session, require_heads)
 
     filter_glob: StringProperty(default="*.glb", options={"HIDDEN"})
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode, a head, and that no puppet moves it."""
-        return require_object_mode(cls, context) and require_no_session(cls) and require_heads(cls, context)
 
     def work(self, context: bpy.types.Context) -> None:
         """Write the file."""
         path = self.path_ending(SUFFIX)
         export_gltf(heads_in(context), path)
         report(self, "Written to {path}", path=path)
-
-
-CLASSES = (
-    FACEMIME_OT_add_head,
-    FACEMIME_OT_import_facegen,
-    FACEMIME_OT_export_gltf,
-)

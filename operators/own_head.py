@@ -19,10 +19,10 @@ from ..blender.heads.binding import (
     turn_note,
     write_marks,
 )
-from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.openings import open_eyes, open_lips
+from ..blender.heads.placing import FormerBinding
 from ..blender.meshes import mesh_of, read_places
 from ..blender.messages import translated
 from ..blender.preview_scene import face_points, look_at_face
@@ -34,13 +34,15 @@ from ..core.heads.bind import MARKS, Binding
 from ..settings.panel_properties import keep_findings
 from .place_points import CheckedBinding
 from .shared import (
-    InObjectMode,
     OnCharacter,
     OnHead,
     OnMesh,
     chosen_character,
     report,
+    require_character,
     require_left_edit_mode,
+    require_mesh,
+    require_object_mode,
     required_subject,
     subject,
 )
@@ -91,7 +93,6 @@ def _turn_to_face(context: bpy.types.Context) -> bool:
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Mark the vertex selected in Edit Mode as a point of the face; mark at least four points, then use Find Face"""
 
-    bl_idname = "facemime.mark_point"
     bl_label = "Mark Point"
 
     point: EnumProperty(
@@ -108,18 +109,17 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     """Clear all marked points"""
 
-    bl_idname = "facemime.clear_marks"
     bl_label = "Clear Marks"
 
     def work(self, context: bpy.types.Context) -> None:
         write_marks(mesh_of(subject(context)), {})
 
 
-class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
+class FACEMIME_OT_bind_keys(OnCharacter, bpy.types.Operator):
     """Drive the character by its existing shape keys, such as ARKit's or VRM's, without landmarks"""
 
-    bl_idname = "facemime.bind_keys"
     bl_label = "Use Its Shape Keys"
+    needs = (require_object_mode, require_character)
 
     def work(self, context: bpy.types.Context) -> None:
         before = placements()
@@ -131,11 +131,11 @@ class FACEMIME_OT_bind_keys(InObjectMode, OnCharacter, bpy.types.Operator):
         report(self, "{name} is driven by its shape keys alone.", name=head.name)
 
 
-class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.types.Operator):
+class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):
     """Find the face of the selected character, and create its regions; without marks, it may face along any axis"""
 
-    bl_idname = "facemime.bind_landmarks"
     bl_label = "Find Face"
+    needs = (require_object_mode, require_character)
 
     def status(self) -> str:
         return _("Facemime: searching for the face; Esc to cancel")
@@ -175,7 +175,6 @@ class FACEMIME_OT_bind_landmarks(InObjectMode, WorksInSteps, OnCharacter, bpy.ty
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     """Move one landmark to the vertex selected in Edit Mode"""
 
-    bl_idname = "facemime.set_landmark"
     bl_label = "Set Landmark"
 
     number: IntProperty(name="Landmark", description="iBUG number of the landmark, except 60 and 64", min=0, max=67)
@@ -190,13 +189,8 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     """Replace the three regions with weights derived from the landmarks and the openings of the eyes and mouth"""
 
-    bl_idname = "facemime.propose_regions"
     bl_label = "Reset Regions"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh outside Edit Mode, where vertex groups cannot be written."""
-        return require_left_edit_mode(cls, context) and super().poll(context)
+    needs = (require_left_edit_mode, require_mesh)
 
     def work(self, context: bpy.types.Context) -> None:
         propose_head_regions(required_subject(context))
@@ -205,7 +199,6 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     """Check this head for problems, and list its parts and bones"""
 
-    bl_idname = "facemime.check_head"
     bl_label = "Check Head"
     bl_options = {"REGISTER"}
 
@@ -219,7 +212,6 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     """Cut the mesh between joined lips, such as those of a scan, so that the mouth can open"""
 
-    bl_idname = "facemime.open_lips"
     bl_label = "Open Lips"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -231,7 +223,6 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
 class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     """Cut the mesh along eyelids that are joined to the eyes, such as those of a scan, so that they can close"""
 
-    bl_idname = "facemime.open_eyes"
     bl_label = "Open Eyes"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -243,16 +234,3 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
             count=count,
         )
         _report_findings(self, context)
-
-
-CLASSES = (
-    FACEMIME_OT_mark_point,
-    FACEMIME_OT_clear_marks,
-    FACEMIME_OT_bind_keys,
-    FACEMIME_OT_bind_landmarks,
-    FACEMIME_OT_set_landmark,
-    FACEMIME_OT_propose_regions,
-    FACEMIME_OT_check_head,
-    FACEMIME_OT_open_lips,
-    FACEMIME_OT_open_eyes,
-)

@@ -23,7 +23,7 @@ from ..core.heads.rig import PART_NAMES, Part
 from ..core.takes.take import Take
 from ..sessions.session import Session
 from ..settings import takes_store
-from .shared import InObjectMode, OnHead, ReportsErrors, report, require, required_subject, subject
+from .shared import OnHead, ReportsErrors, report, require, require_mesh, require_object_mode, required_subject, subject
 from .steps import WorksInSteps, in_background
 
 _DESCRIPTIONS = messages(
@@ -48,7 +48,6 @@ _bone_items: list[tuple[str, str, str]] = []
 class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
     """Assign an object, or the selected vertices in Edit Mode, to a part of the character"""
 
-    bl_idname = "facemime.set_part"
     bl_label = "Set Part"
 
     part: EnumProperty(name="Part", items=_ITEMS)
@@ -87,7 +86,6 @@ class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
     """Add the other selected meshes to the character of the active head"""
 
-    bl_idname = "facemime.add_part"
     bl_label = "Add Selected"
 
     part: EnumProperty(name="Part", items=_ITEMS[1:])
@@ -106,7 +104,6 @@ class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
 class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
     """Remove an object from the character, so that the performance does not move it"""
 
-    bl_idname = "facemime.remove_part"
     bl_label = "Remove from Character"
 
     name: StringProperty(name="Object", options={"SKIP_SAVE"})
@@ -123,7 +120,6 @@ class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
     """Sort the meshes of the character into parts again, find its bones, and create its regions"""
 
-    bl_idname = "facemime.find_parts"
     bl_label = "Find Parts"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -144,7 +140,6 @@ def _items_of_bones(operator: bpy.types.Operator, context: bpy.types.Context | N
 class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
     """Choose the bone that follows the pose of the head or the gaze of an eye"""
 
-    bl_idname = "facemime.set_bone"
     bl_label = "Set Bone"
     bl_property = "bone"
 
@@ -168,11 +163,11 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
         write_bones(head, armature, replace(bones, **{self.target: name}))
 
 
-class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.types.Operator):
+class FACEMIME_OT_make_expression_keys(WorksInSteps, OnHead, bpy.types.Operator):
     """Add a set of shape keys, such as ARKit's, to all meshes of the face; existing keys are kept"""
 
-    bl_idname = "facemime.make_expression_keys"
     bl_label = "Make Expression Keys"
+    needs = (require_object_mode, require_mesh)
 
     keys: EnumProperty(  # type: ignore[assignment]  # hides that of bpy_struct
         name="Keys",
@@ -212,7 +207,6 @@ class FACEMIME_OT_make_expression_keys(InObjectMode, WorksInSteps, OnHead, bpy.t
 class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
     """Paint the weights of this region on the active head"""
 
-    bl_idname = "facemime.paint_region"
     bl_label = "Paint Region"
 
     region: EnumProperty(
@@ -231,7 +225,6 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
 class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
     """Return to Object Mode"""
 
-    bl_idname = "facemime.leave_painting"
     bl_label = "Finish Painting"
 
     @classmethod
@@ -247,7 +240,6 @@ class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
     """Mirror the regions of one half of the face to the other"""
 
-    bl_idname = "facemime.mirror_regions"
     bl_label = "Mirror Regions"
 
     source: EnumProperty(
@@ -263,24 +255,9 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
 class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
     """Smooth the borders of the regions, except between the lips and between the eyelids"""
 
-    bl_idname = "facemime.smooth_regions"
     bl_label = "Smooth Borders"
 
     repeat: IntProperty(name="Repeat", default=3, min=1, max=50)
 
     def work(self, context: bpy.types.Context) -> None:
         smooth_painted(required_subject(context), self.repeat)
-
-
-CLASSES = (
-    FACEMIME_OT_set_part,
-    FACEMIME_OT_add_part,
-    FACEMIME_OT_remove_part,
-    FACEMIME_OT_find_parts,
-    FACEMIME_OT_set_bone,
-    FACEMIME_OT_make_expression_keys,
-    FACEMIME_OT_paint_region,
-    FACEMIME_OT_leave_painting,
-    FACEMIME_OT_mirror_regions,
-    FACEMIME_OT_smooth_regions,
-)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import ClassVar
 
 import bpy
 import numpy as np
@@ -9,9 +10,16 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
 from ..blender.contexts import in_a_window
-from ..blender.heads.binding_undo import FormerBinding
 from ..blender.heads.face_display import FaceDisplay
-from ..blender.heads.placing import NEAR, Placing, landmark_places, marks_to_ask, nearest_landmark, skin_under
+from ..blender.heads.placing import (
+    NEAR,
+    FormerBinding,
+    Placing,
+    landmark_places,
+    marks_to_ask,
+    nearest_landmark,
+    skin_under,
+)
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import Viewport, redraw, viewport_under
 from ..core.control_points.select import parse_landmarks
@@ -19,7 +27,18 @@ from ..core.errors import HeadError
 from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.bind import MIN_MARKS
 from ..sessions.session import Session
-from .shared import OnHead, OnMesh, ReportsErrors, report, require, require_object_mode, required_subject, subject
+from .shared import (
+    Need,
+    OnHead,
+    OnMesh,
+    ReportsErrors,
+    report,
+    require,
+    require_mesh,
+    require_object_mode,
+    required_subject,
+    subject,
+)
 
 _ENTER = {"RET", "NUMPAD_ENTER"}
 
@@ -57,6 +76,7 @@ class _PlacesPoints(ReportsErrors):
     It also ends, and keeps the points, as soon as the mesh is changed or a puppet is started.
     """
 
+    needs: ClassVar[tuple[Need, ...]] = (require_object_mode, require_mesh)
     _placing: Placing
     _display: FaceDisplay
     _showed = False
@@ -64,11 +84,7 @@ class _PlacesPoints(ReportsErrors):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require an active mesh in Object Mode, and that no puppet is running."""
-        return (
-            require_object_mode(cls, context)
-            and super().poll(context)
-            and require(cls, Session.running() is None, "Stop the puppet first")
-        )
+        return super().poll(context) and require(cls, Session.running() is None, "Stop the puppet first")
 
     def begin(self, obj: bpy.types.Object) -> Placing:
         """Return the placing to start."""
@@ -146,7 +162,6 @@ def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: View
 class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
     """Drag landmarks to their places on the head; Enter accepts, Esc discards"""
 
-    bl_idname = "facemime.adjust_landmarks"
     bl_label = "Adjust Landmarks"
 
     def begin(self, obj: bpy.types.Object) -> Placing:
@@ -185,7 +200,6 @@ class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
 class FACEMIME_OT_mark_face(_PlacesPoints, OnMesh, bpy.types.Operator):
     """Click the requested points of the face one by one, then find the face from them"""
 
-    bl_idname = "facemime.mark_face"
     bl_label = "Mark Face"
 
     points: StringProperty(name="Points", description="Points to ask for, by iBUG number; empty for all")
@@ -254,7 +268,6 @@ class _EndsPlacing(ReportsErrors):
 class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
     """Keep the points as they are now"""
 
-    bl_idname = "facemime.accept_points"
     bl_label = "Accept"
 
     def end(self, placing: Placing) -> None:
@@ -264,16 +277,7 @@ class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
 class FACEMIME_OT_discard_points(_EndsPlacing, bpy.types.Operator):
     """Move the points back to where they were"""
 
-    bl_idname = "facemime.discard_points"
     bl_label = "Discard"
 
     def end(self, placing: Placing) -> None:
         placing.discard()
-
-
-CLASSES = (
-    FACEMIME_OT_adjust_landmarks,
-    FACEMIME_OT_mark_face,
-    FACEMIME_OT_accept_points,
-    FACEMIME_OT_discard_points,
-)

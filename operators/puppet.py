@@ -22,7 +22,6 @@ _STATUS_INTERVAL = 0.25
 class FACEMIME_OT_choose_camera(bpy.types.Operator):
     """Use this camera and save it in the preferences"""
 
-    bl_idname = "facemime.choose_camera"
     bl_label = "Choose Camera"
     bl_options = {"INTERNAL"}
 
@@ -47,7 +46,7 @@ def required_puppet() -> LiveSession:
     return session
 
 
-def require_puppet(operator: type[bpy.types.Operator]) -> bool:
+def require_puppet(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Return for `poll` whether a puppet is running; otherwise set the poll message of `operator`."""
     return require(operator, running() is not None, "Start the puppet first")
 
@@ -69,9 +68,9 @@ def start_puppet() -> None:
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     """Drive the active head and all other selected heads with the face in the source; Esc in the viewport stops it"""
 
-    bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
+    needs = (require_no_session, require_left_edit_mode, require_heads)
 
     _session: LiveSession
     _rigs: RigWatch
@@ -83,11 +82,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _redrawn_at = 0.0
     _text = ""
     _heads: tuple[LiveHeadObject, ...] = ()
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a selected head outside Edit Mode, and that no session is running."""
-        return require_no_session(cls) and require_left_edit_mode(cls, context) and require_heads(cls, context)
 
     def work(self, context: bpy.types.Context) -> OperatorResult:
         """Start the session, and continue at every tick of a timer."""
@@ -196,7 +190,6 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_stop_puppet(bpy.types.Operator):
     """Stop the puppet; the heads return to rest, unless Keep Pose is enabled"""
 
-    bl_idname = "facemime.stop_puppet"
     bl_label = "Stop Puppet"
     bl_options = {"REGISTER"}
 
@@ -221,7 +214,6 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
 class FACEMIME_OT_next_face(bpy.types.Operator):
     """Track the next face to the right; after the last one, the leftmost"""
 
-    bl_idname = "facemime.next_face"
     bl_label = "Next Face"
     bl_options = {"REGISTER"}
 
@@ -274,11 +266,3 @@ def _painting(context: bpy.types.Context) -> bool:
     return window is not None and any(
         op is not None and op.bl_idname.startswith("PAINT_OT") for op in window.modal_operators
     )  # an operator that has just ended leaves None
-
-
-CLASSES = (
-    FACEMIME_OT_choose_camera,
-    FACEMIME_OT_puppet,
-    FACEMIME_OT_stop_puppet,
-    FACEMIME_OT_next_face,
-)

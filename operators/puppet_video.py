@@ -23,19 +23,14 @@ _TICK = 0.1
 class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     """Track the face in a video, keep it as a take, and bake it to the active head and all other selected heads"""
 
-    bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
+    needs = (require_object_mode, require_heads)
 
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
     filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
 
     _session: TrackingSession | None = None
     _head: str = ""
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head in Object Mode."""
-        return require_object_mode(cls, context) and require_heads(cls, context)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for a file, unless the button provides one."""
@@ -139,7 +134,6 @@ def _heads(context: bpy.types.Context, first: bpy.types.Object) -> list[bpy.type
 class FACEMIME_OT_stop_tracking(bpy.types.Operator):
     """Stop tracking, keep the frames tracked so far as a take, and bake them"""
 
-    bl_idname = "facemime.stop_tracking"
     bl_label = "Stop Tracking"
     bl_options = {"INTERNAL"}
 
@@ -154,6 +148,3 @@ class FACEMIME_OT_stop_tracking(bpy.types.Operator):
         if session is not None:
             session.stop()
         return {"FINISHED"}
-
-
-CLASSES = (FACEMIME_OT_puppet_video, FACEMIME_OT_stop_tracking)

@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, TypeAlias
 
 import bpy
 from bpy.props import BoolProperty, StringProperty
@@ -43,6 +43,10 @@ def reporting_range(operator: bpy.types.Operator, scene: bpy.types.Scene) -> Ite
         )
 
 
+Need: TypeAlias = Callable[[type[bpy.types.Operator], bpy.types.Context], bool]
+"""Takes an operator and the context, and returns for `poll` whether a condition is met, as `require` does."""
+
+
 class ReportsErrors(OperatorMixin):
     """Mixin: runs the operator's `work`, and reports a `FacemimeError` as an error; other exceptions are not caught.
 
@@ -51,6 +55,13 @@ class ReportsErrors(OperatorMixin):
 
     bl_options = {"REGISTER", "UNDO"}
     """Most operators change data of the file; those that do not leave out UNDO."""
+    needs: ClassVar[tuple[Need, ...]] = ()
+    """What `poll` requires, in this order."""
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Require what the operator needs."""
+        return all(need(cls, context) for need in cls.needs)
 
     def work(self, context: bpy.types.Context) -> OperatorResult | None:
         """Do what the operator is for."""
@@ -112,7 +123,7 @@ def require_left_edit_mode(operator: type[bpy.types.Operator], context: bpy.type
     return require(operator, context.mode != "EDIT_MESH", "Leave Edit Mode first")
 
 
-def require_no_session(operator: type[bpy.types.Operator]) -> bool:
+def require_no_session(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Require that neither a puppet nor a take moves a head, as `require` does."""
     return require(operator, Session.running() is None, "A puppet is already running. Stop it first")
 
@@ -192,23 +203,16 @@ class AsksForFileToWrite(AsksForFile):
         return path if path.suffix.lower() == suffix else path.with_name(path.name + suffix)
 
 
-class InObjectMode(OperatorMixin):
-    """Mixin placed before one with a `poll`: also requires Object Mode."""
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require Object Mode."""
-        return require_object_mode(cls, context) and super().poll(context)
+def require_mesh(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Require an active mesh, or an object that leads to a head, as `require` does."""
+    obj = subject(context)
+    return require(operator, obj is not None and obj.type == "MESH", "Select a head mesh")
 
 
 class OnMesh(ReportsErrors):
     """Mixin: requires an active mesh, or an object that leads to a head: see `subject`."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require an active mesh, or an object that leads to a head."""
-        obj = subject(context)
-        return require(cls, obj is not None and obj.type == "MESH", "Select a head mesh")
+    needs: ClassVar[tuple[Need, ...]] = (require_mesh,)
 
 
 def chosen_character(context: bpy.types.Context) -> bpy.types.Object | None:
@@ -221,13 +225,15 @@ def chosen_character(context: bpy.types.Context) -> bpy.types.Object | None:
     return heads[0] if heads else character_in(context) or mesh
 
 
+def require_character(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Require a character, of which any object may be selected, as `require` does."""
+    return require(operator, chosen_character(context) is not None, "Select a character, or any object of it")
+
+
 class OnCharacter(ReportsErrors):
     """Mixin: requires a character, of which any object may be selected: see `chosen_character`."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a character."""
-        return require(cls, chosen_character(context) is not None, "Select a character, or any object of it")
+    needs: ClassVar[tuple[Need, ...]] = (require_character,)
 
 
 class OnHead(OnMesh):

@@ -21,7 +21,7 @@ from ..settings.rna import read, with_settings
 from ..settings.values import take_start
 from .puppet import require_puppet, required_puppet
 from .shared import require
-from .takes import OnTake
+from .takes import OnTake, require_take
 
 _BLEND_PROPERTY = FloatProperty(
     name="Blend", description="Duration of the transition at each end", subtype="TIME_ABSOLUTE", default=BLEND, min=0.0
@@ -57,7 +57,6 @@ class _AddsEditedTake(OnTake):
 class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take that is trimmed to a range, and starts at the first frame"""
 
-    bl_idname = "facemime.trim_take"
     bl_label = "Trim Take"
     suffix = "Trimmed"
 
@@ -116,7 +115,6 @@ class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
 class FACEMIME_OT_mend_take(_AddsEditedTake, bpy.types.Operator):
     """Add a mended copy of the selected take: without outliers and gaps, smoothed without delay, or mirrored"""
 
-    bl_idname = "facemime.mend_take"
     bl_label = "Mend Take"
     suffix = "Mended"
 
@@ -128,7 +126,6 @@ class FACEMIME_OT_mend_take(_AddsEditedTake, bpy.types.Operator):
 class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
     """Use the face at the current frame as the neutral face of the selected take"""
 
-    bl_idname = "facemime.renew_neutral"
     bl_label = "Set Neutral at Frame"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -139,7 +136,6 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
 class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take with another take inserted, blended at both ends"""
 
-    bl_idname = "facemime.punch_in_take"
     bl_label = "Insert Take"
     suffix = "Edited"
 
@@ -177,12 +173,17 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 
 
+def _require_no_range(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    free = required_puppet().recorder.punch_in is None
+    return require(operator, free, "A range is already being re-recorded")
+
+
 class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
     """Re-record the selected take between two frames with pre-roll, blended at both ends"""
 
-    bl_idname = "facemime.rerecord_take"
     bl_label = "Re-Record Range"
     bl_options = {"REGISTER"}
+    needs = (require_puppet, _require_no_range, require_take)
 
     start: IntProperty(name="Start", description="First frame of the range", default=1)
     end: IntProperty(name="End", description="Last frame of the range", default=50)
@@ -195,15 +196,6 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         max=30.0,
     )
     blend: _BLEND_PROPERTY
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a running puppet and a take, and that no range is being re-recorded."""
-        return (
-            require_puppet(cls)
-            and require(cls, required_puppet().recorder.punch_in is None, "A range is already being re-recorded")
-            and super().poll(context)
-        )
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for the range; by default the preview range, or two seconds from the current frame."""
@@ -219,12 +211,3 @@ class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
         required_puppet().recorder.rerecord(
             scene, takes_store.chosen(scene).path, start, end, lead=self.lead, blend=self.blend
         )
-
-
-CLASSES = (
-    FACEMIME_OT_trim_take,
-    FACEMIME_OT_mend_take,
-    FACEMIME_OT_renew_neutral,
-    FACEMIME_OT_punch_in_take,
-    FACEMIME_OT_rerecord_take,
-)

@@ -2,6 +2,7 @@
 
 from collections.abc import Generator
 from contextlib import closing
+from typing import ClassVar
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
@@ -25,6 +26,7 @@ from .puppet import FACEMIME_OT_puppet, required_puppet, running, start_puppet
 from .shared import (
     AsksForFile,
     AsksForFileToWrite,
+    Need,
     OnHead,
     ReportsErrors,
     heads_in,
@@ -32,20 +34,23 @@ from .shared import (
     reporting_range,
     require,
     require_heads,
+    require_mesh,
     require_no_session,
     required_subject,
 )
 from .steps import WorksInSteps
 
 
+def require_take(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
+    """Require a take selected in the list, as `require` does."""
+    takes = context.scene.facemime_takes
+    return require(operator, 0 <= takes.index < len(takes.items), "Record or import a take first")
+
+
 class OnTake(ReportsErrors):
     """Mixin: requires a take selected in the list."""
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a selected take."""
-        takes = context.scene.facemime_takes
-        return require(cls, 0 <= takes.index < len(takes.items), "Record or import a take first")
+    needs: ClassVar[tuple[Need, ...]] = (require_take,)
 
 
 def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
@@ -59,7 +64,6 @@ def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
     """Record everything that is tracked, starting the puppet if necessary; the take is saved while it is recorded"""
 
-    bl_idname = "facemime.record_take"
     bl_label = "Record Take"
     bl_options = {"REGISTER"}
 
@@ -100,7 +104,6 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
     """Show the selected take on the active head and all other selected heads without baking; click again to stop"""
 
-    bl_idname = "facemime.show_take"
     bl_label = "Preview on Head"
     bl_options = {"REGISTER"}
 
@@ -109,7 +112,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
         """Require a head and a take, and that no other session than a puppet is running, which ends."""
         if TakeShow.running() is not None:
             return True
-        free = running() is not None or require_no_session(cls)
+        free = running() is not None or require_no_session(cls, context)
         return free and require_heads(cls, context) and super().poll(context)
 
     def work(self, context: bpy.types.Context) -> None:
@@ -127,7 +130,6 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
     """Remove the selected take from the list; its file is kept"""
 
-    bl_idname = "facemime.remove_take"
     bl_label = "Remove Take"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -139,7 +141,6 @@ class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
     """Add takes in the folder that are not in the list, such as removed ones and those recorded before a crash"""
 
-    bl_idname = "facemime.find_takes"
     bl_label = "Find Takes"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -167,7 +168,6 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     """Add a take from a file to the list, or a table or another program's recording as a take"""
 
-    bl_idname = "facemime.import_take"
     bl_label = "Import Take"
 
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in (SUFFIX, *RECORDINGS)), options={"HIDDEN"})
@@ -198,7 +198,6 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
     """Export the selected take to a file, or as a table of numbers"""
 
-    bl_idname = "facemime.export_take"
     bl_label = "Export Take"
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
@@ -214,7 +213,6 @@ class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
 class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
     """Pack the selected take into the .blend file, or unpack it"""
 
-    bl_idname = "facemime.pack_take"
     bl_label = "Pack Take"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -228,13 +226,8 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
     """Sample the active head over the frame range as a take, whether shape keys, bones or a cache move it"""
 
-    bl_idname = "facemime.take_from_animation"
     bl_label = "Take from Animation"
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Require a head, and that nothing else moves it."""
-        return require_no_session(cls) and super().poll(context)
+    needs = (require_no_session, require_mesh)
 
     def status(self) -> str:
         return _("Facemime: sampling the animation; Esc to cancel")
@@ -257,15 +250,3 @@ def _report_notes(operator: bpy.types.Operator, take: Take) -> None:
     """Report what was decided when a take was made from something else."""
     for note in take.info.get("notes", []):
         report(operator, str(note))
-
-
-CLASSES = (
-    FACEMIME_OT_take_from_animation,
-    FACEMIME_OT_record_take,
-    FACEMIME_OT_show_take,
-    FACEMIME_OT_remove_take,
-    FACEMIME_OT_find_takes,
-    FACEMIME_OT_import_take,
-    FACEMIME_OT_export_take,
-    FACEMIME_OT_pack_take,
-)

@@ -19,9 +19,8 @@ class _OfViewer(OperatorMixin):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Require a running puppet with a viewer."""
-        return require_puppet(cls) and require(
-            cls, required_puppet().displays.viewer is not None, "Enable the viewer first"
-        )
+        there = require_puppet(cls, context)
+        return there and require(cls, required_puppet().displays.viewer is not None, "Enable the viewer first")
 
 
 def _address() -> str:
@@ -33,7 +32,6 @@ def _address() -> str:
 class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
     """Open the viewer in this computer's browser"""
 
-    bl_idname = "facemime.open_viewer"
     bl_label = "Open in Browser"
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
@@ -45,7 +43,6 @@ class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
 class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
     """Copy the address of the viewer; anyone who has it can watch"""
 
-    bl_idname = "facemime.copy_viewer_address"
     bl_label = "Copy Address"
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
@@ -58,7 +55,6 @@ class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
 class FACEMIME_OT_copy_pairing_line(ReportsErrors, bpy.types.Operator):
     """Copy the line that the other computer needs to receive the performance; anyone who has it can"""
 
-    bl_idname = "facemime.copy_pairing_line"
     bl_label = "Copy Pairing Line"
     bl_options = {"INTERNAL"}
 
@@ -71,7 +67,6 @@ class FACEMIME_OT_copy_pairing_line(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_renew_pairing_line(ReportsErrors, bpy.types.Operator):
     """Make a new pairing line; computers with the previous one can no longer receive"""
 
-    bl_idname = "facemime.renew_pairing_line"
     bl_label = "Renew Pairing Line"
     bl_options = {"INTERNAL"}
 
@@ -84,11 +79,3 @@ class FACEMIME_OT_renew_pairing_line(ReportsErrors, bpy.types.Operator):
         """Replace the certificate and the token."""
         renew_identity(pairing_folder())
         report(self, "Earlier pairing lines are no longer valid: copy the new one")
-
-
-CLASSES = (
-    FACEMIME_OT_open_viewer,
-    FACEMIME_OT_copy_viewer_address,
-    FACEMIME_OT_copy_pairing_line,
-    FACEMIME_OT_renew_pairing_line,
-)

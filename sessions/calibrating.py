@@ -46,7 +46,7 @@ class Calibration:
         self.range_of = range_of
         self._worker, self._at = worker, perf_counter() + countdown
         self._started = False
-        worker.quality = None
+        worker.first.quality = None
 
     @property
     def task(self) -> str:
@@ -61,7 +61,7 @@ class Calibration:
     def step(self) -> bool:
         """Start the calibration when it is due, and return whether it has ended."""
         if self._started:
-            return not self._worker.calibrating
+            return not self._worker.first.calibrating
         if perf_counter() >= self._at:
             self._started = True
             self._worker.calibrate(range_of=self.range_of)
@@ -158,7 +158,7 @@ class Calibrating:
         HeadError
             If the range is requested before there is a neutral face.
         """
-        if range_of and self._worker.neutral is None:
+        if range_of and self._worker.first.neutral is None:
             raise HeadError("There is no neutral face yet. Calibrate it first.")
         self.current = Calibration(self._worker, range_of=range_of, countdown=countdown)
 
@@ -166,13 +166,13 @@ class Calibrating:
         """Continue the calibration, and store from time to time what was learnt, so that the next session has it."""
         if self.current is not None and self.current.step():
             self.current = None
-            if self._worker.neutral is not None and self._worker.quality is not None:
-                self._on_calibrated(self._worker.neutral)
+            if self._worker.first.neutral is not None and self._worker.first.quality is not None:
+                self._on_calibrated(self._worker.first.neutral)
             signal()
         if self._on_learnt is None or perf_counter() < self._kept_at + _KEEPING:
             return
         self._kept_at = perf_counter()
-        if (learnt := self._worker.learnt) is not None and learnt is not self._learnt:
+        if (learnt := self._worker.first.learnt) is not None and learnt is not self._learnt:
             self._learnt = learnt
             self._on_learnt(learnt)
 

@@ -20,8 +20,7 @@ from ..blender.messages import show_error
 from ..core.drive.driver import HeadFrame
 from ..core.errors import FacemimeError, Message, OutputError
 from ..core.heads.appearance import Appearance
-from ..core.puppet.head_drivers import LiveHead
-from ..core.puppet.outputs import Output
+from ..core.puppet.outputs import LiveHead, Output
 from ..core.puppet.sources import LiveSource
 from ..core.puppet.timing import Delays, Stopwatch
 from ..core.puppet.worker import LiveOptions, LiveResult, LiveWorker
@@ -88,31 +87,29 @@ def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -
 
 
 class Displays:
-    """The browsers and programs that show the heads of a session, besides its viewports."""
+    """The browsers and programs that show the heads of a session, besides its viewports.
+
+    Attributes
+    ----------
+    viewer : ViewerServer or None
+        The server that shows the heads in browsers, if enabled; replaced by `view`.
+    vertices : VertexSender or None
+        The sender of the moved vertices, if enabled; replaced by `send_vertices`.
+    """
 
     def __init__(self, worker: LiveWorker) -> None:
         self._worker = worker
-        self._viewer: ViewerServer | None = None
-        self._vertices: VertexSender | None = None
-
-    @property
-    def viewer(self) -> ViewerServer | None:
-        """The server that shows the heads in browsers, if enabled."""
-        return self._viewer
-
-    @property
-    def vertices(self) -> VertexSender | None:
-        """The sender of the moved vertices, if enabled."""
-        return self._vertices
+        self.viewer: ViewerServer | None = None
+        self.vertices: VertexSender | None = None
 
     def view(self, viewer: ViewerServer | None) -> None:
         """Replace the viewer, and end the previous one."""
-        before, self._viewer = self._viewer, viewer
+        before, self.viewer = self.viewer, viewer
         self._replace(before)
 
     def send_vertices(self, sender: VertexSender | None) -> None:
         """Replace the sender of the moved vertices, and end the previous one."""
-        before, self._vertices = self._vertices, sender
+        before, self.vertices = self.vertices, sender
         self._replace(before)
 
     def close(self) -> None:
@@ -121,7 +118,7 @@ class Displays:
         self.send_vertices(None)
 
     def _replace(self, before: ViewerServer | VertexSender | None) -> None:
-        self._worker.displays = tuple(one for one in (self._viewer, self._vertices) if one is not None)
+        self._worker.displays = tuple(one for one in (self.viewer, self.vertices) if one is not None)
         if before is not None:
             before.close()
 
@@ -293,11 +290,6 @@ class LiveSession(Session):
         survives = super().survives_undo()
         self.recorder.list_again()
         return survives
-
-    def suspend(self) -> None:
-        """Restore the heads while the file is saved."""
-        for shown in self.heads:
-            shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Display the heads again after `suspend`."""

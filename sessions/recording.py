@@ -181,7 +181,7 @@ class Recording:
         if part.sender:
             info["sender"] = part.sender
         performer = None if part.performer is None else worker.performer(part.performer)
-        neutral = worker.neutral if performer is None else performer.neutral
+        neutral = worker.first.neutral if performer is None else performer.neutral
         if neutral is not None:
             info["calibration"] = neutral.to_dict()
             if neutral.measured:

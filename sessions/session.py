@@ -137,7 +137,9 @@ class Session:
             watch(_attend, _INTERVAL)
 
     def suspend(self) -> None:
-        """Restore what the session moves while the file is saved."""
+        """Restore the heads while the file is saved."""
+        for shown in self.heads:
+            shown.detach(keep=False, blocks=False)
 
     def resume(self) -> None:
         """Display the motion again after `suspend`."""

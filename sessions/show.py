@@ -21,8 +21,8 @@ from ..blender.timeline import frames_of, seconds_of
 from ..blender.viewports import redraw
 from ..core.drive.driver import HeadDriver
 from ..core.errors import FacemimeError, HeadError
-from ..core.puppet.head_drivers import KeyDriver, LiveKeys
-from ..core.puppet.performance import Performance
+from ..core.puppet.outputs import KeyDriver, LiveKeys
+from ..core.puppet.performer import Performance
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take
 from ..settings.values import place_take, pose_targets, puppet_settings
@@ -58,6 +58,8 @@ class TakeShow(Session):
 
     Attributes
     ----------
+    scene : str
+        Name of the scene whose settings and frame are followed.
     warnings : list of str
         What keeps the take from being seen.
 
@@ -80,7 +82,7 @@ class TakeShow(Session):
             for obj, own in zip(objects, keys, strict=True)
         ]
         self._drivers = [self._driver(obj, own, None) for obj, own in zip(objects, keys, strict=True)]
-        self._scene = scene.name
+        self.scene = scene.name
         super().__init__()
         self.heads = heads
         self._display = FaceDisplay(objects, bones=settings.hide_bones and bpy.context.mode != "POSE")
@@ -98,11 +100,6 @@ class TakeShow(Session):
     ) -> HeadDriver | KeyDriver:
         driver = self._performance.driver(read_rig(obj), before)
         return driver if keys is None else KeyDriver(driver, self._performance.neutral, keys)
-
-    @property
-    def scene(self) -> str:
-        """Name of the scene whose settings and frame are followed."""
-        return self._scene
 
     def follow(self, scene: bpy.types.Scene) -> bool:
         """Apply the current settings of the scene; return whether they have changed since the last call.
@@ -132,7 +129,7 @@ class TakeShow(Session):
 
     def show(self, scene: bpy.types.Scene) -> None:
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""
-        if scene.name != self._scene:
+        if scene.name != self.scene:
             return
         take = self._performance.take
         away = np.where(take.found, np.abs(take.times - seconds_of(scene, self._start)), np.inf)
@@ -142,16 +139,11 @@ class TakeShow(Session):
             if not shown.gone:
                 shown.write(driver.frame(result))
 
-    def suspend(self) -> None:
-        """Restore the heads while the file is saved."""
-        for shown in self.heads:
-            shown.detach(keep=False, blocks=False)
-
     def resume(self) -> None:
         """Display the take on the heads."""
         for shown in self.heads:
             shown.attach()
-        if (scene := bpy.data.scenes.get(self._scene)) is not None:
+        if (scene := bpy.data.scenes.get(self.scene)) is not None:
             self.show(scene)
 
     def _restore(self, *, blocks: bool) -> None:

@@ -11,8 +11,7 @@ from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.animation.live_keys import KEYS, live_keys, names_of
 from ..blender.rigs import read_rig, rig_checks
 from ..core.errors import HeadError
-from ..core.puppet.head_drivers import LiveHead, LiveKeys
-from ..core.puppet.outputs import DrivenOutput
+from ..core.puppet.outputs import DrivenOutput, LiveHead, LiveKeys
 from ..core.puppet.sources import LiveSource
 from ..core.puppet.worker import LiveOptions
 from ..core.streams.source import StreamSource

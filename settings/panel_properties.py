@@ -123,7 +123,6 @@ def list_landmarks(*_: object) -> None:
                 landmarks.add().name = str(number)
 
 
-CLASSES = (FacemimeSteps, FacemimeFinding, FacemimeLandmark, FacemimeMemory)
 POINTERS = (
     (bpy.types.Scene, "facemime_steps", FacemimeSteps),
     (bpy.types.WindowManager, "facemime", FacemimeMemory),

@@ -6,17 +6,13 @@ They are remembered until Blender quits, and stored in the .blend file only if t
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
 from uuid import uuid4
 
 import bpy
 
 from ..core.errors import FacemimeError
 from ..core.takes.neutral import Neutral
-from .properties import FacemimePerformer
-
-if TYPE_CHECKING:
-    from .properties import FacemimePerformer, FacemimeSettings
+from .properties import FacemimePerformer, FacemimeSettings
 
 _session: dict[str, str] = {}
 """Calibrations of this session as JSON, by the keys of the performers."""

@@ -98,6 +98,3 @@ def draw_preview(layout: bpy.types.UILayout, chosen: FacemimePreferences) -> Non
     size = row.row(align=True)
     size.active = chosen.preview
     size.prop(chosen, "preview_size", text="")
-
-
-CLASSES = (FacemimePreferences,)

@@ -30,7 +30,10 @@ if TYPE_CHECKING:
     from ..core.streams.transport.tls_server import TlsSender
 
 
-_ITEMS = {name: (name, of.label, of.description, of.number) for name, of in PROTOCOLS.items()}
+_ITEMS = {
+    name: (name, of.label, of.description, place if of.number < 0 else of.number)
+    for place, (name, of) in enumerate(PROTOCOLS.items())
+}
 """Items of the menu of protocols."""
 
 
@@ -324,18 +327,6 @@ class FacemimeSettings(bpy.types.PropertyGroup):
     posing: PointerProperty(type=FacemimePosing)
     output: PointerProperty(type=FacemimeOutput)
     viewer: PointerProperty(type=FacemimeViewer)
-
-
-CLASSES = (
-    FacemimeStream,
-    FacemimeHead,
-    FacemimeOutput,
-    FacemimeViewer,
-    FacemimeSource,
-    FacemimePosing,
-    FacemimePerformer,
-    FacemimeSettings,
-)
 
 
 POINTERS = (

@@ -113,5 +113,4 @@ def write_table(bake: FacemimeBake, table: KeyMap) -> None:
     bake.row = 0
 
 
-CLASSES = (FacemimeTake, FacemimeKeyRow, FacemimeKeyPose, FacemimeBake, FacemimeTakes)
 POINTERS = ((bpy.types.Scene, "facemime_takes", FacemimeTakes),)

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import re
 import signal
+from collections.abc import Iterator
 
+import numpy as np
 import pytest
+
+from facemime.core.takes.face_space import FaceSpace
 
 # A shell ignores Ctrl-C for background processes, and so would the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
@@ -42,3 +46,19 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left = [item for item in items if item.get_closest_marker("thorough") and group(item) not in kept]
     config.hook.pytest_deselected(items=left)
     items[:] = [item for item in items if item not in set(left)]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _each_performance_explained_once() -> Iterator[None]:
+    """Keep the slowest part of a calibration, as many tests calibrate the same performance."""
+    explain, known = FaceSpace.explain, {}
+
+    def explained(space: FaceSpace, shapes: np.ndarray, weights: np.ndarray) -> np.ndarray:
+        key = space.units.tobytes(), shapes.tobytes(), weights.tobytes()
+        if key not in known:
+            known[key] = explain(space, shapes, weights)
+        return known[key].copy()
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FaceSpace, "explain", explained)
+        yield

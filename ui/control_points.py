@@ -19,7 +19,7 @@ from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.regions import REGIONS
 from ..operators.shared import required_subject, subject
 from ..settings.panel_properties import FacemimeLandmark, FacemimeSteps
-from .sidebar import OnHead, is_narrow, labels, place, side_by_side, split_labels
+from .sidebar import List, OnHead, is_narrow, labels, place, props, side_by_side, split_labels
 
 _CURVE = "curve"
 
@@ -41,19 +41,11 @@ def shown_rows(obj: bpy.types.Object) -> list[PointRow]:
     return _selection_rows(str(mesh_of(obj).get(SELECTION_PROPERTY, "")))
 
 
-class FACEMIME_UL_landmarks(bpy.types.UIList):
+class FACEMIME_UL_landmarks(List, bpy.types.UIList):
     """List of landmarks: number, regions, order, and remaining error."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimeLandmark,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
-        index: int,
+    def draw_row(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimeLandmark, index: int
     ) -> None:
         """Draw one landmark."""
         obj = subject(context)
@@ -120,9 +112,7 @@ class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
 def _draw_selection(layout: bpy.types.UILayout, steps: FacemimeSteps) -> None:
     column = layout.column()
     split_labels(column)
-    column.prop(steps, "search")
-    column.prop(steps, "tolerance")
-    column.prop(steps, "max_points")
+    props(column, steps, "search", "tolerance", "max_points")
     buttons = layout.column(align=True)
     buttons.menu("FACEMIME_MT_select_from_take", icon="CURVE_DATA")
     _apply(steps, buttons.operator("facemime.select_live_points", text="Select from Live", icon="REC"))
@@ -182,9 +172,6 @@ def _draw_list(layout: bpy.types.UILayout, context: bpy.types.Context, steps: bp
     column.operator("facemime.drop_control_point", text="", icon="REMOVE")
     column.separator()
     column.prop(steps, "only_chosen", text="", icon="FILTER")
-
-
-CLASSES = (FACEMIME_MT_select_from_take, FACEMIME_UL_landmarks, FACEMIME_PT_control_points)
 
 
 def register() -> None:

@@ -215,12 +215,3 @@ class FACEMIME_PT_regions(OnHead, bpy.types.Panel):
         column.operator("facemime.propose_regions", icon="GROUP_VERTEX")
         column.operator("facemime.check_head", icon="CHECKMARK")
         draw_findings(layout, context)
-
-
-CLASSES = (
-    FACEMIME_PT_head,
-    FACEMIME_PT_own_head,
-    FACEMIME_PT_parts,
-    FACEMIME_PT_check,
-    FACEMIME_PT_regions,
-)

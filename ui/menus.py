@@ -200,17 +200,6 @@ class _Keys:
     added: ClassVar[list[tuple[bpy.types.KeyMap, bpy.types.KeyMapItem]]] = []
 
 
-CLASSES = (
-    VIEW3D_MT_facemime,
-    FACEMIME_MT_calibrate,
-    FACEMIME_MT_viewer,
-    FACEMIME_MT_key_mapping,
-    FACEMIME_MT_landmarks,
-    FACEMIME_MT_regions,
-    FACEMIME_MT_control_points,
-)
-
-
 def register() -> None:
     """Add the menu Facemime, the entries Add > Mesh > Facemime Head and File > Import > FaceGen Head, and shortcuts."""
     bpy.types.VIEW3D_MT_editor_menus.append(_facemime)

@@ -18,7 +18,7 @@ from ..sessions.tracking import TrackingSession
 from ..settings import user_presets as presets
 from ..settings.properties import FacemimeOutput
 from ..settings.values import whole_file
-from .sidebar import Sidebar, is_narrow, labels, place, side_by_side, split_labels
+from .sidebar import Sidebar, is_narrow, labels, place, props, side_by_side, split_labels
 from .status import draw_progress, received, status_lines
 
 _MODULE = 8
@@ -83,9 +83,7 @@ class FACEMIME_PT_expression(Sidebar, bpy.types.Panel):
         column.prop(settings, "strength_lower", text="Jaw", text_ctxt=CONTEXT)
         layout.prop(settings, "smoothing")
         labels(layout, context, "How the skin moves. Start the puppet or preview a take to see what changes", "INFO")
-        layout.prop(settings, "mode")
-        layout.prop(settings, "kernel")
-        layout.prop(settings, "only_landmarks")
+        props(layout, settings, "mode", "kernel", "only_landmarks")
 
 
 class FACEMIME_PT_fit(Sidebar, bpy.types.Panel):
@@ -100,9 +98,7 @@ class FACEMIME_PT_fit(Sidebar, bpy.types.Panel):
         split_labels(layout)
         settings = context.scene.facemime
         labels(layout, context, "For lids, lips and regions that do not meet. The defaults suit most heads", "INFO")
-        layout.prop(settings, "borders")
-        layout.prop(settings, "exact")
-        layout.prop(settings, "incremental")
+        props(layout, settings, "borders", "exact", "incremental")
         row = layout.row()
         row.active = settings.mode != "planar"
         row.prop(settings, "contact")
@@ -119,8 +115,7 @@ class FACEMIME_PT_puppet(Sidebar, bpy.types.Panel):
         layout, settings, session = self.layout, context.scene.facemime, running()
         layout.row().prop(settings, "drive_by", expand=True)
         row = side_by_side(layout, context)
-        row.prop(settings, "mirror")
-        row.prop(settings, "keep_pose")
+        props(row, settings, "mirror", "keep_pose")
         layout.prop(settings, "hide_bones")
         layout.operator("facemime.next_face", icon="COMMUNITY")
         for text, icon in () if session is None else status_lines(session):
@@ -178,8 +173,7 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
                 _draw_paired(layout, output)
                 return
         column = layout.column(align=True)
-        column.prop(output, "host")
-        column.prop(output, "port")
+        props(column, output, "host", "port")
         if output.protocol == OWN:
             layout.prop(output, "key")
         elif output.protocol == "livelink":
@@ -191,8 +185,7 @@ class FACEMIME_PT_send(Sidebar, bpy.types.Panel):
 def _draw_paired(layout: bpy.types.UILayout, output: FacemimeOutput) -> None:
     """Draw how paired computers reach this one."""
     column = layout.column(align=True)
-    column.prop(output, "listen")
-    column.prop(output, "port")
+    props(column, output, "listen", "port")
     column.prop(output, "public", placeholder=_("This Computer"))
     row = layout.row(align=True)
     row.operator("facemime.copy_pairing_line", icon="COPYDOWN")
@@ -273,10 +266,7 @@ class FACEMIME_PT_viewer(Sidebar, bpy.types.Panel):
         column = layout.column()
         split_labels(column)
         column.active = settings.enabled
-        column.prop(settings, "host")
-        column.prop(settings, "port")
-        column.prop(settings, "certificate")
-        column.prop(settings, "key")
+        props(column, settings, "host", "port", "certificate", "key")
         row = side_by_side(layout, context)
         row.operator("facemime.open_viewer", icon="URL")
         row.operator("facemime.copy_viewer_address", icon="COPYDOWN")
@@ -313,17 +303,3 @@ def unregister() -> None:
     """Remove the collection of icons."""
     bpy.utils.previews.remove(_Icons.previews)
     _Icons.previews, _Icons.address = None, ""
-
-
-CLASSES = (
-    FACEMIME_MT_remove_preset,
-    FACEMIME_MT_presets,
-    FACEMIME_PT_expression,
-    FACEMIME_PT_fit,
-    FACEMIME_PT_puppet,
-    FACEMIME_PT_pose,
-    FACEMIME_PT_send,
-    FACEMIME_PT_incoming,
-    FACEMIME_PT_bake,
-    FACEMIME_PT_viewer,
-)

@@ -1,13 +1,14 @@
 """Base class, order and layout helpers of the panels in the sidebar tab."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import blf
 import bpy
 
 from ..blender.meshes import is_head
 from ..blender.messages import interface, translated
-from ..blender.stubs import Icon, PanelMixin
+from ..blender.stubs import Icon, ListMixin, PanelMixin
 from ..operators.shared import required_subject, subject
 from .documentation import draw_link
 from .drawing import wrap
@@ -58,6 +59,28 @@ class OnHead(Sidebar):
         return obj is not None and is_head(obj)
 
 
+class List(ListMixin):
+    """Mixin: a list whose items are drawn by `draw_row`."""
+
+    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
+        self,
+        context: bpy.types.Context,
+        layout: bpy.types.UILayout,
+        data: bpy.types.bpy_struct,
+        item: Any,
+        icon: int,
+        active_data: bpy.types.bpy_struct,
+        active_property: str,
+        index: int,
+    ) -> None:
+        """Draw one item."""
+        self.draw_row(context, layout, item, index)
+
+    def draw_row(self, context: bpy.types.Context, layout: bpy.types.UILayout, item: Any, index: int) -> None:
+        """Draw one item, given its place in the list."""
+        raise NotImplementedError
+
+
 def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: Icon = "NONE") -> None:
     """Draw `text`, translated and wrapped to the width of the sidebar.
 
@@ -91,6 +114,12 @@ def split_labels(layout: bpy.types.UILayout) -> None:
     """Draw settings with their labels in a separate column, and without dots for keyframes."""
     layout.use_property_split = True
     layout.use_property_decorate = False
+
+
+def props(layout: bpy.types.UILayout, owner: bpy.types.bpy_struct, *names: str) -> None:
+    """Draw some properties of `owner`, one below the other."""
+    for name in names:
+        layout.prop(owner, name)
 
 
 def draw_list(

@@ -17,7 +17,7 @@ from ..settings.performers import calibration_of, stored_performers
 from ..settings.preferences import draw_camera, draw_preview, preferences
 from ..settings.properties import FacemimePerformer, FacemimeStream
 from ..settings.values import FILE_OF
-from .sidebar import Sidebar, draw_list, labels, place, split_labels
+from .sidebar import List, Sidebar, draw_list, labels, place, props, split_labels
 from .status import countdown_text
 
 _NUMBERED_CAMERAS = 4
@@ -46,8 +46,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
                 column.prop(source, FILE_OF[source.kind])
             if source.kind == "PICTURES":
                 column.prop(source, "rate")
-            column.prop(source, "loop")
-            column.prop(source, "speed")
+            props(column, source, "loop", "speed")
         if source.kind not in ("TAKE", "STREAM"):
             column.prop(source, "face")
             if source.face == "ALL":
@@ -122,18 +121,11 @@ class FACEMIME_MT_cameras(bpy.types.Menu):
             self.layout.operator("facemime.choose_camera", text=camera, translate=False).camera = camera
 
 
-class FACEMIME_UL_performers(bpy.types.UIList):
+class FACEMIME_UL_performers(List, bpy.types.UIList):
     """List of performers, with a tick for those that are calibrated."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimePerformer,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
+    def draw_row(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimePerformer, index: int
     ) -> None:
         """Draw one performer."""
         layout.prop(item, "name", text="", emboss=False, icon="CHECKMARK" if calibration_of(item) else "USER")
@@ -156,8 +148,7 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         column.operator("facemime.calibrate", text="Neutral Face", icon="USER").pose = "NEUTRAL"
         column.operator("facemime.calibrate", text="Eyes and Mouth", icon="HIDE_OFF").pose = "RANGE"
         column.operator("facemime.reset_calibration", text="Reset", icon="LOOP_BACK")
-        layout.prop(settings, "learn")
-        layout.prop(settings, "keep_calibrations")
+        props(layout, settings, "learn", "keep_calibrations")
         if stored_performers():
             layout.operator("facemime.clear_calibrations", icon="TRASH")
         if session is None:
@@ -165,13 +156,5 @@ class FACEMIME_PT_calibration(Sidebar, bpy.types.Panel):
         if session.calibrating.current is not None:
             passed = 1.0 - min(session.calibrating.current.left / COUNTDOWN, 1.0)
             layout.progress(factor=passed, text=countdown_text(session), translate=False)
-        elif (quality := session.worker.quality) is not None:
+        elif (quality := session.worker.first.quality) is not None:
             labels(layout, context, quality.message, "CHECKMARK" if quality.good else "ERROR")
-
-
-CLASSES = (
-    FACEMIME_MT_cameras,
-    FACEMIME_PT_source,
-    FACEMIME_UL_performers,
-    FACEMIME_PT_calibration,
-)

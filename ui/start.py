@@ -197,6 +197,3 @@ class FACEMIME_MT_add(bpy.types.Menu):
         layout.separator()
         layout.operator("facemime.bind_landmarks", text="Find Face of Selected Character", icon="VIEWZOOM")
         layout.operator("facemime.mark_face", text="Find Face from Marks...", icon="PIVOT_CURSOR")
-
-
-CLASSES = (FACEMIME_MT_add, FACEMIME_PT_start)

@@ -58,11 +58,6 @@ def countdown_text(session: LiveSession) -> str:
     return _("Now") if calibration is not None and calibration.range_of else _("Hold Still")
 
 
-def _latency_text(session: LiveSession) -> str:
-    """Return the delay from the camera to the vertices and the frame rate; "" before the first frame."""
-    return session.stopwatch.text
-
-
 def _hidden() -> str:
     return _("The mouth is covered and stays as it was")
 
@@ -76,7 +71,7 @@ def summary(session: LiveSession) -> tuple[str, Icon]:
         return _("Waiting for the first frame"), "TIME"
     if not latest.result.found:
         return _("No face in view"), "QUESTION"
-    if worker.neutral is None:
+    if worker.first.neutral is None:
         return _("Keep a relaxed face"), "TIME"
     if is_hidden(latest.result.landmark_confidence):
         return _hidden(), "HIDE_ON"
@@ -85,7 +80,7 @@ def summary(session: LiveSession) -> tuple[str, Icon]:
         if dropped:
             return _("{count} frames recorded, {dropped} skipped").format(count=count, dropped=dropped), "REC"
         return _("{count} frames recorded").format(count=count), "REC"
-    return _latency_text(session), "PREVIEW_RANGE"
+    return session.stopwatch.text, "PREVIEW_RANGE"
 
 
 def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
@@ -102,14 +97,14 @@ def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
         return [*lines, (_("Waiting for the first frame"), "TIME")]
     if not latest.result.found:
         lines.append((_("No face in view"), "QUESTION"))
-    elif worker.neutral is None:
+    elif worker.first.neutral is None:
         lines.append((_("Using the first second as the neutral face"), "TIME"))
     elif is_hidden(latest.result.landmark_confidence):
         lines.append((_hidden(), "HIDE_ON"))
     for person, heads in sorted(latest.people.items()):
         lines.append((_who_drives(session, _("Person {number}").format(number=person + 1), heads), "USER"))
     counts = worker.counts
-    lines.append((_latency_text(session), "PREVIEW_RANGE"))
+    lines.append((session.stopwatch.text, "PREVIEW_RANGE"))
     if slowest := session.stopwatch.slowest():
         lines.append((_("Slowest step: {name}").format(name=_(_STAGES[slowest])), "BLANK1"))
     numbers = {"tracked": counts.tracked, "dropped": counts.dropped, "lost": counts.lost}
@@ -170,7 +165,7 @@ def _draw() -> None:
         box = preview_box(seen.area, seen.region, (height, width))
         _draw_picture(latest.number, latest.preview, box)
         _draw_grip(box, scale)
-        draw_plate(_latency_text(session), (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
+        draw_plate(session.stopwatch.text, (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
     free = free_box(seen.area, seen.region)
     span = free.left, free.right
     _draw_countdown(span, seen.region.height, session, scale)

@@ -12,25 +12,15 @@ from ..operators.puppet import running
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
 from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake, table_so_far
-from .sidebar import Sidebar, draw_list, labels, place, split_labels
+from .sidebar import List, Sidebar, draw_list, labels, place, props, split_labels
 
 _MAPPED = "mapped"
 
 
-class FACEMIME_UL_takes(bpy.types.UIList):
+class FACEMIME_UL_takes(List, bpy.types.UIList):
     """List of takes: favourite, name, note, packed, duration."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimeTake,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
-        index: int,
-    ) -> None:
+    def draw_row(self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimeTake, index: int) -> None:
         """Draw one take."""
         row = layout.row(align=True)
         row.prop(item, "star", text="", icon="SOLO_ON" if item.star else "SOLO_OFF", emboss=False)
@@ -42,19 +32,11 @@ class FACEMIME_UL_takes(bpy.types.UIList):
         row.label(text=timecode(item.length), translate=False)
 
 
-class FACEMIME_UL_key_rows(bpy.types.UIList):
+class FACEMIME_UL_key_rows(List, bpy.types.UIList):
     """List of the rows of the key mapping; the selected one has its factors below the list."""
 
-    def draw_item(  # type: ignore[override]  # Blender passes as many arguments as there are
-        self,
-        context: bpy.types.Context,
-        layout: bpy.types.UILayout,
-        data: bpy.types.bpy_struct,
-        item: FacemimeKeyRow,
-        icon: int,
-        active_data: bpy.types.bpy_struct,
-        active_property: str,
-        index: int,
+    def draw_row(
+        self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimeKeyRow, index: int
     ) -> None:
         """Draw one row."""
         line = layout.split(factor=0.5, align=True)
@@ -149,10 +131,7 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column = layout.column()
         column.active = bake.keys not in ("cache", "alembic")
         column.prop(bake, "clean")
-        layout.prop(bake, "start")
-        layout.prop(bake, "fit_range")
-        layout.prop(bake, "keep_animation")
-        layout.prop(bake, "nla")
+        props(layout, bake, "start", "fit_range", "keep_animation", "nla")
         obj = subject(context)
         if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):
             labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
@@ -191,8 +170,7 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
                 column.prop_search(line, "key", mesh_of(obj).shape_keys, "key_blocks")
             else:
                 column.prop(line, "key")
-            column.prop(line, "gain")
-            column.prop(line, "offset")
+            props(column, line, "gain", "offset")
         layout.operator("facemime.detect_key_map", text="Detect", icon="VIEWZOOM")
         if bake.rows:
             labels(layout, context, table_so_far(bake).summary())
@@ -200,13 +178,3 @@ class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):
         added = _("Add Pose ({count} added)").format(count=len(bake.poses))
         column.operator("facemime.add_key_pose", text=added, translate=False, icon="ADD")
         column.operator("facemime.learn_key_map", icon="CURVE_DATA")
-
-
-CLASSES = (
-    FACEMIME_UL_takes,
-    FACEMIME_UL_key_rows,
-    FACEMIME_MT_takes,
-    FACEMIME_PT_takes,
-    FACEMIME_PT_take_bake,
-    FACEMIME_PT_key_map,
-)

@@ -8,13 +8,23 @@ reference to a curve or track becomes invalid when the user removes it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from typing import Any
 
 import bpy
 
 from ..actions import baked_paths
-from ..fcurves import action_name, curves_in, find_curve, is_baked, owned_paths, slot_handle, tracks_of_bakes
+from ..fcurves import (
+    action_name,
+    curves_in,
+    drivers_of,
+    find_curve,
+    is_baked,
+    owned_paths,
+    slot_handle,
+    tracks_of,
+    tracks_of_bakes,
+)
 from ..names import ASIDE_PROPERTY
 from .exporting import MODIFIER
 
@@ -49,20 +59,18 @@ def restore(owner: bpy.types.ID) -> None:
 
 def restore_all(but: Collection[bpy.types.ID] = ()) -> None:
     """Restore what was set aside of all data-blocks, except some."""
-    for owner in _owners():
+    for owner in (*bpy.data.objects, *bpy.data.shape_keys):
         if ASIDE_PROPERTY in owner and owner.library is None and owner not in but:
             restore(owner)
 
 
 def moving(owner: bpy.types.ID, prefixes: Sequence[str]) -> list[Item]:
     """Return the curves, NLA tracks and drivers that move data paths of `owner` that start with a prefix."""
-    data, starts = owner.animation_data, tuple(prefixes)
-    if data is None:
-        return []
-    driven = [driver for driver in data.drivers if driver.data_path.startswith(starts)]
+    starts = tuple(prefixes)
+    driven = [driver for driver in drivers_of(owner) if driver.data_path.startswith(starts)]
     tracks = [
         track
-        for track in data.nla_tracks
+        for track in tracks_of(owner)
         if any(curve.data_path.startswith(starts) for strip in track.strips for curve in curves_in(strip))
     ]
     return [
@@ -79,11 +87,10 @@ def bake_of(owner: bpy.types.ID) -> list[Item]:
 
 
 def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
-    data = owner.animation_data
-    if data is None:
+    if (data := owner.animation_data) is None:
         return []
-    found = [curve for curve in curves_in(data) if wanted(curve.data_path)]
-    return [["curve", action_name(data), slot_handle(data), curve.data_path, curve.array_index] for curve in found]
+    start = ["curve", action_name(data), slot_handle(data)]
+    return [[*start, curve.data_path, curve.array_index] for curve in curves_in(data) if wanted(curve.data_path)]
 
 
 def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> dict[tuple[str, int], float]:
@@ -97,9 +104,8 @@ def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> 
         Values by data path and array index.
     """
     values: dict[tuple[str, int], float] = {}
-    data, starts, own = owner.animation_data, tuple(prefixes), owned_paths(owner.animation_data)
-    listed = _listed(owner)
-    for track in data.nla_tracks if data is not None else ():
+    starts, own, listed = tuple(prefixes), owned_paths(owner.animation_data), _listed(owner)
+    for track in tracks_of(owner):
         if ["track", track.name] in listed and (strip := _strip_at(track, frame)) is not None:
             at = strip.action_frame_start + (frame - strip.frame_start) / strip.scale
             at = min(max(at, strip.action_frame_start), strip.action_frame_end)
@@ -178,8 +184,3 @@ def _listed(owner: bpy.types.ID) -> list[Item]:
     except ValueError:
         return []
     return [item for item in items if isinstance(item, list) and item] if isinstance(items, list) else []
-
-
-def _owners() -> Iterator[bpy.types.ID]:
-    yield from bpy.data.objects
-    yield from bpy.data.shape_keys

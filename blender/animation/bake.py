@@ -13,7 +13,7 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ...core.drive.actions import TONGUE
-from ...core.drive.motion import HeadMotion
+from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError, SourceError
 from ...core.numeric.arrays import FloatArray
 from ...core.takes.take import Take

@@ -15,11 +15,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.reduction import MotionBasis
+from ...core.bake.fit import MotionBasis
 from ...core.errors import HeadError
 from ...core.heads.key_map import ESSENTIAL, best_preset
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, head_of, members_of
+from ..fcurves import drivers_of
 from ..frames import from_blender
 from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of, read_vertices
 from ..muting import Silenced, keyed_paths, varying_paths
@@ -60,8 +61,7 @@ def moved_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> set[s
 
 
 def _playing(keys: bpy.types.Key) -> list[bpy.types.FCurve]:
-    data = keys.animation_data
-    return [] if data is None else [driver for driver in data.drivers if not driver.mute]
+    return [driver for driver in drivers_of(keys) if not driver.mute]
 
 
 def _reads(driver: bpy.types.FCurve, family: Collection[bpy.types.Key]) -> bool:

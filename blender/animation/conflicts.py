@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 import bpy
 import numpy as np
 
-from ...core.drive.motion import HeadMotion
+from ...core.drive.driver import HeadMotion
 from ...core.errors import Message
 from ..characters import Member, members_of, objects_of
 from ..meshes import armature_data, key_names, key_offsets, keys_of, mesh_of
@@ -38,7 +38,8 @@ def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: boo
         Whether they are rotated and moved.
     """
     targets = list(targets)
-    resting = dict.fromkeys(target.obj for target in targets if target.bone and _rests(target.obj))
+    posed = dict.fromkeys(target.obj for target in targets if target.bone)
+    resting = [obj for obj in posed if armature_data(obj).pose_position == "REST"]
     warnings: list[str] = [
         Message(
             "{name} is in Rest Position, which hides the pose of its bones. "
@@ -70,10 +71,6 @@ def unseen(heads: Iterable[bpy.types.Object]) -> list[str]:
             "Hidden: {names}. Show it, or enable its collection, in the Outliner to see the animation.", names=names
         )
     ]
-
-
-def _rests(armature: bpy.types.Object) -> bool:
-    return bool(armature_data(armature).pose_position == "REST")
 
 
 def _overrules(constraint: bpy.types.Constraint) -> bool:

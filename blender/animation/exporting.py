@@ -8,7 +8,6 @@ others.
 
 from __future__ import annotations
 
-import contextlib
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
@@ -21,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.point_cache import in_between, write_point_cache
-from ...core.drive.motion import HeadMotion
+from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError, OutputError
 from ...core.files.writing import replacing
 from ..characters import Member, objects_of
@@ -273,23 +272,16 @@ def remove_cache(obj: bpy.types.Object) -> None:
         obj.modifiers.remove(modifier)
 
 
-@contextlib.contextmanager
+@contextmanager
 def caches_beside(path: Path) -> Iterator[None]:
     """Make the paths of caches in the folder of `path` relative while a copy of the file is saved there."""
-    modifiers = [
-        modifier
-        for obj in bpy.data.objects
-        if isinstance(modifier := obj.modifiers.get(MODIFIER), bpy.types.MeshCacheModifier)
-        and Path(bpy.path.abspath(modifier.filepath)).parent == path.resolve().parent
-    ]
-    before = [modifier.filepath for modifier in modifiers]
-    for modifier in modifiers:
-        modifier.filepath = f"//{Path(modifier.filepath).name}"
-    try:
+    with ExitStack() as stack:
+        for modifier in (obj.modifiers.get(MODIFIER) for obj in bpy.data.objects):
+            if isinstance(modifier, bpy.types.MeshCacheModifier):
+                file = Path(bpy.path.abspath(modifier.filepath))
+                if file.parent == path.resolve().parent:
+                    set_for_now(stack, modifier, "filepath", f"//{file.name}")
         yield
-    finally:
-        for modifier, filepath in zip(modifiers, before, strict=True):
-            modifier.filepath = filepath
 
 
 def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], path: Path) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import bpy
 import numpy as np
@@ -12,7 +11,7 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError, messages
-from ..characters import Member, members_of
+from ..characters import members_of
 from ..contexts import scene_of
 from ..fcurves import make_actions_own
 from ..meshes import exists, keys_of, mesh_of
@@ -98,7 +97,8 @@ class LiveHeadObject:
     @property
     def prepare(self) -> Callable[[HeadFrame], FlatMeshes]:
         """Function that prepares a frame for `write` without touching Blender's data, for the worker's thread."""
-        return partial(_flat_meshes, [shown.member for shown in self._meshes])
+        members = [shown.member for shown in self._meshes]
+        return lambda frame: [member.local(frame.vertices) for member in members]
 
     @property
     def gone(self) -> bool:
@@ -144,11 +144,6 @@ class LiveHeadObject:
             set_aside(owner, [*moving(owner, channels), *bake_of(owner)])
         self._moving = [target for target in self._carried if not target.bone and values_aside(target.obj, _DELTAS, 0)]
         self._shown = True
-
-    def _follow_user(self, target: PoseTarget) -> None:
-        """Let a pose be added to where the user's animation places an object in the current frame."""
-        frame = scene_of(target.obj).frame_current_final
-        move_own(target.obj, values_aside(target.obj, _DELTAS, frame))
 
     def _values_of(self, obj: bpy.types.Object) -> LiveValues | None:
         if (keys := mesh_of(obj).shape_keys) is None:
@@ -207,8 +202,9 @@ class LiveHeadObject:
         translation = frame.translation if self.follow.translation else None
         for target in self._carried:
             if target.exists:
-                if target in self._moving:
-                    self._follow_user(target)
+                if target in self._moving:  # the pose is added to where the user's animation places the object
+                    frame_now = scene_of(target.obj).frame_current_final
+                    move_own(target.obj, values_aside(target.obj, _DELTAS, frame_now))
                 target.apply(rotation, translation)
         for child, kind in self._living_parts():
             if kind not in self.targets:
@@ -278,10 +274,6 @@ def require_one_left(heads: Sequence[LiveHeadObject]) -> None:
     """Raise HeadError if all of `heads` were deleted."""
     if all(shown.gone for shown in heads):
         raise HeadError("The head was deleted. Add or select another one, and restart the puppet.")
-
-
-def _flat_meshes(members: Sequence[Member], frame: HeadFrame) -> FlatMeshes:
-    return [member.local(frame.vertices) for member in members]
 
 
 def _kind(child: bpy.types.Object) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.heads.key_map import KeyMap
-from ...core.puppet.head_drivers import LiveKeys
+from ...core.puppet.outputs import LiveKeys
 from ..characters import members_of
 from ..meshes import driven_by_keys, exists
 from ..names import VALUES_PROPERTY

@@ -10,15 +10,14 @@ import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
-from ...core.bake.fit import fit_keys, mix_errors
+from ...core.bake.fit import fit_basis, fit_keys, mix_errors
 from ...core.bake.point_cache import SUFFIX
-from ...core.bake.reduction import fit_basis
-from ...core.drive.motion import HeadMotion, drive_take
+from ...core.drive.driver import HeadMotion, drive_take
 from ...core.errors import HeadError, Message, OutputError
 from ...core.heads.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
 from ...core.heads.rig import HeadRig
 from ...core.numeric.arrays import FloatArray
-from ...core.puppet.performance import Performance
+from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take

@@ -229,11 +229,9 @@ class _Face:
     def rest(self) -> FacePoints:
         """Return the positions at rest: those of the objects now, without poses."""
         self._from_scene = HEAD_TO_BLENDER.T @ np.array(rest_matrix(self._head).inverted_safe())[:3]
-        return self._points(lambda obj: (self._standing(obj), np.array(rest_matrix(obj))))
-
-    def _standing(self, obj: bpy.types.Object) -> FloatArray:
-        """Return the vertices of an object with the keys of its identity; those of an expression are motion."""
-        return standing_vertices(obj, known_expressions(key_names(obj)))
+        # With the keys of the identity; those of an expression are motion.
+        keys = known_expressions
+        return self._points(lambda o: (standing_vertices(o, keys(key_names(o))), np.array(rest_matrix(o))))
 
     def current(self) -> FacePoints:
         """Return the positions in the current frame.

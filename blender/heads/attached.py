@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import bpy
 
 from ..characters import parts_of
+from ..fcurves import drivers_of
 from ..meshes import mesh_of
 from ..names import PART_PROPERTY, PARTS_PROPERTY
 
@@ -153,7 +154,7 @@ def _follow(part: bpy.types.Object, head: bpy.types.Object) -> None:
 
 def _followed(part: bpy.types.Object) -> Iterator[bpy.types.Object | None]:
     """Yield the head that the driver of a part refers to; None if it was deleted."""
-    for curve in part.animation_data.drivers if part.animation_data is not None else ():
+    for curve in drivers_of(part):
         driver = curve.driver
         if curve.data_path == _HIDDEN and driver is not None and len(driver.variables) == 1:
             target = driver.variables[0].targets[0]

@@ -19,7 +19,7 @@ from ...core.heads.part_names import FaceBones, names_body
 from ...core.heads.rig import Part, neck_of
 from ..characters import write_bones, write_kinds
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
-from ..meshes import group_weights, key_names, keys_of, mesh_of, read_vertices
+from ..meshes import group_weights, key_names, key_points, keys_of, mesh_of, read_vertices
 from ..names import COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
 from .family import armature_of, family_of, heads_of, moved_by_key, require_character
@@ -167,20 +167,14 @@ def _add(obj: bpy.types.Object, name: str, binds: Sequence[MorphBind]) -> bool:
     targets = [block for block in blocks if block != keys_of(obj).reference_key]
     if any(normalised(block.name) == normalised(name) for block in blocks):
         return False
-    basis = _points(keys_of(obj).reference_key)
+    basis = key_points(keys_of(obj).reference_key).reshape(-1)
     moved = basis.copy()
     for bind in binds:
         if bind.target < len(targets):
-            moved += bind.weight * (_points(targets[bind.target]) - basis)
+            moved += bind.weight * (key_points(targets[bind.target]).reshape(-1) - basis)
     if not np.isfinite(moved).all() or np.array_equal(moved, basis):
         return False
     key = obj.shape_key_add(name=name, from_mix=False)
     key.value = 0.0
     key.points.foreach_set("co", moved)
     return True
-
-
-def _points(key: bpy.types.ShapeKey) -> NDArray[Any]:
-    flat = np.empty(3 * len(key.points), dtype=np.float32)
-    key.points.foreach_get("co", flat)
-    return flat

@@ -1,14 +1,17 @@
-"""Places of landmarks in a viewport, where landmarks and marked points are placed by hand."""
+"""Places of landmarks in a viewport, where landmarks and marked points are placed by hand; the binding of a character
+as it was, so that one that was just found can be taken back.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import bpy
 import numpy as np
 from bpy_extras import view3d_utils
-from mathutils import Vector
+from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
@@ -16,10 +19,28 @@ from ...core.face.landmarks import from_ibug
 from ...core.heads.bind import MARKS, MIN_MARKS
 from ...core.heads.rig import Part
 from ...core.numeric import linalg
-from ..characters import read_kinds
-from ..meshes import is_head, mesh_of, object_of, read_landmarks, read_regions, write_landmarks
+from ..characters import read_kinds, write_kinds
+from ..meshes import (
+    is_head,
+    mesh_of,
+    object_of,
+    read_landmarks,
+    read_regions,
+    read_weights,
+    write_landmarks,
+    write_regions,
+)
+from ..names import MARKS_PROPERTY, REGION_GROUPS
 from ..viewports import Viewport
-from .binding import VertexTakenError, move_landmark, propose_head_regions, proposed_weights, read_marks, write_marks
+from .binding import (
+    VertexTakenError,
+    move_landmark,
+    propose_head_regions,
+    proposed_weights,
+    read_marks,
+    turn_mesh,
+    write_marks,
+)
 
 NEAR = 24.0
 """Maximum distance of a click from a landmark, pixels at a resolution scale of 1."""
@@ -27,6 +48,7 @@ _EASY_FIRST = (36, 45, 48, 54, 30, 8, 39, 42)
 """iBUG numbers of `MARKS`, in the order in which users are asked for them: four that lie far apart come first."""
 _BEFORE = 10.0
 """Distance before the middle of an orthographic view at which a ray starts, relative to that of the view."""
+_OURS = "facemime_"
 
 
 class Places(NamedTuple):
@@ -143,7 +165,7 @@ class Placing:
         self.name, self.asked, self.held = obj.name, tuple(asked), -1
         self._take_back = take_back
         self.discarded = False
-        self._step = 0
+        self.step = 0
         self._marks = read_marks(mesh_of(obj))
         self._landmarks = read_landmarks(obj) if is_head(obj) else None
         self._count = len(mesh_of(obj).vertices)
@@ -157,12 +179,7 @@ class Placing:
     @property
     def next_mark(self) -> int | None:
         """The point to mark next, by iBUG number; None if all are marked."""
-        return self.asked[self._step] if self._step < len(self.asked) else None
-
-    @property
-    def step(self) -> int:
-        """Number of points marked so far."""
-        return self._step
+        return self.asked[self.step] if self.step < len(self.asked) else None
 
     @property
     def enough(self) -> bool:
@@ -171,15 +188,15 @@ class Placing:
 
     def mark(self, vertex: int) -> None:
         """Mark the next point."""
-        write_marks(mesh_of(self.obj), read_marks(mesh_of(self.obj)) | {self.asked[self._step]: vertex})
-        self._step += 1
+        write_marks(mesh_of(self.obj), read_marks(mesh_of(self.obj)) | {self.asked[self.step]: vertex})
+        self.step += 1
 
     def unmark(self) -> None:
         """Clear the last mark."""
-        if self._step:
-            self._step -= 1
+        if self.step:
+            self.step -= 1
             marks = read_marks(mesh_of(self.obj))
-            marks.pop(self.asked[self._step], None)
+            marks.pop(self.asked[self.step], None)
             write_marks(mesh_of(self.obj), marks)
 
     def drag(self, vertex: int) -> None:
@@ -262,3 +279,70 @@ def _nearest(obj: bpy.types.Object, evaluated: bpy.types.Object, place: Vector) 
     if (kinds == Part.SKIN).any():
         squared[kinds != Part.SKIN] = np.inf
     return int(squared.argmin())
+
+
+@dataclass(frozen=True, eq=False)
+class _Bound:
+    """What was stored with an object, and where it was."""
+
+    name: str
+    matrix: Matrix
+    own: dict[str, Any]
+    of_mesh: dict[str, Any]
+    kinds: NDArray[np.int8]
+    weights: NDArray[np.float32] | None
+
+
+class FormerBinding:
+    """The landmarks, regions and parts of all meshes of a scene, and what was selected."""
+
+    def __init__(self, context: bpy.types.Context) -> None:
+        context.view_layer.update()
+        self._meshes = [
+            _bound(obj) for obj in context.scene.objects if obj.type == "MESH" and mesh_of(obj).library is None
+        ]
+        self._selected = [obj.name for obj in context.selected_objects]
+        self._active = "" if context.active_object is None else context.active_object.name
+
+    def restore(self, context: bpy.types.Context) -> None:
+        """Restore the binding and the selection; marks that the user made since are kept."""
+        for former in self._meshes:
+            obj = context.scene.objects.get(former.name)
+            if obj is not None and obj.type == "MESH" and len(mesh_of(obj).vertices) == len(former.kinds):
+                _restore(obj, former)
+        for obj in context.view_layer.objects:
+            obj.select_set(obj.name in self._selected)
+        context.view_layer.objects.active = context.view_layer.objects.get(self._active)
+
+
+def _bound(obj: bpy.types.Object) -> _Bound:
+    regions = all(name in obj.vertex_groups for name in REGION_GROUPS)
+    weights = read_weights(obj, slice(None)) if regions else None
+    return _Bound(obj.name, obj.matrix_world.copy(), _ours(obj), _ours(mesh_of(obj)), read_kinds(mesh_of(obj)), weights)
+
+
+def _ours(owner: bpy.types.ID) -> dict[str, Any]:
+    found = {}
+    for key, value in owner.items():
+        if key.startswith(_OURS) and key != MARKS_PROPERTY:
+            plain = value.to_dict() if hasattr(value, "to_dict") else value
+            found[key] = plain.to_list() if hasattr(plain, "to_list") else plain
+    return found
+
+
+def _restore(obj: bpy.types.Object, former: _Bound) -> None:
+    for owner, stored in ((obj, former.own), (mesh_of(obj), former.of_mesh)):
+        for key in _ours(owner):
+            del owner[key]
+        for key, value in stored.items():
+            owner[key] = value
+    write_kinds(mesh_of(obj), former.kinds)
+    turn = np.array((former.matrix.inverted_safe() @ obj.matrix_world).to_quaternion().to_matrix())
+    if not np.allclose(turn, np.eye(3), atol=1e-5):
+        turn_mesh(obj, turn)
+    if former.weights is not None:
+        write_regions(obj, former.weights)
+        return
+    for name in REGION_GROUPS:
+        if (group := obj.vertex_groups.get(name)) is not None:
+            obj.vertex_groups.remove(group)

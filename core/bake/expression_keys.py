@@ -52,15 +52,11 @@ Refine = Callable[[HeadRig, NDArray[np.float32]], NDArray[np.float32]]
 """Changes the displacements of the skin's vertices by keys, (K, V, 3), before lids and lips are made to meet."""
 
 
-def _as_they_are(skin: HeadRig, motions: NDArray[np.float32]) -> NDArray[np.float32]:
-    return motions
-
-
 def expression_keys(
     rig: HeadRig,
     keys: KeySet = KEY_SETS["arkit"],
     progress: Callable[[float], None] = lambda share: None,
-    refine: Refine = _as_they_are,
+    refine: Refine = lambda skin, motions: motions,
 ) -> tuple[tuple[str, ...], NDArray[np.float32]]:
     """Make a set of shape keys for a head.
 

@@ -1,4 +1,7 @@
-"""Fitting of a motion of vertices by shape keys that a mesh already has (method.md, section 9.2)."""
+"""The motion of vertices as shape keys: a small basis of new ones, in place of one per frame (method.md, section 9.1),
+or those that a mesh already has, fitted (section 9.2); no keyframes that straight lines between the others replace
+(section 9.5).
+"""
 
 from __future__ import annotations
 
@@ -8,14 +11,172 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_least_squares
 from ..numeric.linalg import multiply
 
+_ROWS = 4
+"""Number of frames processed at a time."""
+_SPARE = 16
+"""Mixtures of frames, beyond the number of modes, with which long motions are searched for modes."""
+_POWER_ITERATIONS = 2
+"""Iterations of that search."""
+_LONG = 4
+"""Number of frames per mixture from which a motion is long."""
 RIDGE = 1e-4
 """Ridge as a share of the mean square of a key. Similar keys then share motion, and undetermined ones stay at 0."""
-_ROWS = 64
+_FRAMES_AT_ONCE = 64
 """Number of frames processed at a time."""
+
+
+@dataclass(frozen=True)
+class MotionBasis:
+    """A motion as a product, ``motion[n] ~ sum_k weights[n, k] modes[k]``.
+
+    Attributes
+    ----------
+    modes : (K, V, 3) float32
+        Displacements at weight 1. The largest absolute weight of each mode over the motion is 1.
+    weights : (N, K) float32
+        Weights, -1 to 1.
+    worst_error : float
+        Largest distance of a vertex in any frame from the motion, in its unit.
+    """
+
+    modes: NDArray[np.float32]
+    weights: NDArray[np.float32]
+    worst_error: float
+
+
+def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> MotionBasis:
+    """Fit the smallest basis of singular vectors with a vertex error within `tolerance`.
+
+    Parameters
+    ----------
+    motion : (N, V, 3) array
+        Displacements from rest.
+    tolerance : float
+        Largest allowed distance of a vertex, in the unit of `motion`.
+    max_modes : int
+        Largest number of modes. If it does not suffice, `worst_error` exceeds the tolerance.
+
+    Returns
+    -------
+    MotionBasis
+        The basis.
+
+    Notes
+    -----
+    The singular vectors of short motions are exact. Those of long ones are found within the span of a few mixtures of
+    the frames, refined by two power iterations (Halko, Martinsson & Tropp 2011, algorithm 4.4), as the exact ones would
+    cost O(N^2 V): here it is O(N V K).
+
+    Examples
+    --------
+    >>> from facemime import fit_basis
+    >>> motion = np.random.default_rng(0).standard_normal((20, 100, 3))
+    >>> basis = fit_basis(motion, tolerance=1e-3)
+    >>> basis.weights.shape, bool(basis.worst_error < 1e-3)
+    ((20, 20), True)
+    """
+    frames, vertices = motion.shape[:2]
+    flat = np.ascontiguousarray(motion, dtype=np.float32).reshape(frames, -1)
+    # Singular vectors from a Gram matrix, the strongest first, without those that consist of rounding errors.
+    span = _span(flat, max_modes + _SPARE)
+    spanned = flat if span is None else multiply(span.T, flat)
+    values, vectors = linalg.eigh(multiply(spanned, spanned.T).astype(np.float64))
+    strongest = values[-1] if values[-1] > 0 else 1.0
+    order = [i for i in np.argsort(values)[::-1][:max_modes] if values[i] > 1e-10 * strongest]
+    modes = multiply((vectors[:, order] / np.sqrt(values[order])).T, spanned)
+    weights = (vectors[:, order] * np.sqrt(values[order])).astype(np.float32)
+    weights = weights if span is None else multiply(span, weights)
+    residual = flat.copy()
+    count = 0
+    worst = _subtract(residual, np.zeros(frames, np.float32), np.zeros(residual.shape[1], np.float32))
+    # Add modes until the worst vertex of the worst frame is within the tolerance.
+    while worst > tolerance and count < len(order):
+        worst = _subtract(residual, weights[:, count], modes[count])
+        count += 1
+    weights, modes = weights[:, :count], modes[:count]
+    # Scale each mode so that its largest weight is 1, which suits the range of a slider.
+    peak = weights[np.abs(weights).argmax(axis=0), np.arange(count)] if count else np.ones(0, dtype=np.float32)
+    return MotionBasis(
+        modes=np.ascontiguousarray((modes * peak[:, None]).reshape(count, vertices, 3)),
+        weights=np.ascontiguousarray(weights / peak),
+        worst_error=worst,
+    )
+
+
+def _span(flat: NDArray[np.float32], count: int) -> NDArray[np.float32] | None:
+    """Orthonormal columns (N, count) that nearly span the strongest left singular vectors of `flat` (N, 3 V).
+
+    None if there are too few frames for this to be worthwhile.
+    """
+    if len(flat) <= _LONG * count:
+        return None
+    mixed = multiply(np.random.default_rng(0).standard_normal((count, len(flat)), np.float32), flat)
+    for _ in range(_POWER_ITERATIONS):
+        mixed = multiply(linalg.qr(multiply(flat, mixed.T), mode="economic")[0].T, flat)
+    span: NDArray[np.float32] = linalg.qr(multiply(flat, mixed.T), mode="economic")[0]
+    return span
+
+
+def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode: NDArray[np.float32]) -> float:
+    """Subtract a mode from `residual` (N, 3 V) in place, and return the largest remaining distance of a vertex.
+
+    Works on a few frames at a time, so that no second array of this size is allocated.
+    """
+    worst = 0.0
+    for n in range(0, len(residual), _ROWS):
+        part = residual[n : n + _ROWS]
+        part -= np.outer(weights[n : n + _ROWS], mode)
+        points = part.reshape(len(part), -1, 3)
+        worst = max(worst, float(np.einsum("nvc,nvc->nv", points, points).max(initial=0.0)))
+    return float(np.sqrt(worst))
+
+
+def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
+    """Select the keyframes that a polyline needs to stay within a tolerance of all keyframes.
+
+    Parameters
+    ----------
+    times : (N,) array
+        Times of the keyframes, increasing.
+    values : (N,) array
+        Values of the keyframes; errors are differences in value at the same time.
+    tolerance : float
+        Largest allowed error, in the unit of `values`; 0 keeps every keyframe that is off the line.
+
+    Returns
+    -------
+    (n,) int
+        Indices of the keyframes to keep, ascending.
+
+    Notes
+    -----
+    The algorithm of Douglas & Peucker 1973, without recursion. The error is bounded at the keyframes, and therefore
+    everywhere, as the curve between them is straight.
+    """
+    count = len(values)
+    if count < 3:
+        return np.arange(count)
+    kept = np.zeros(count, dtype=np.bool_)
+    kept[[0, count - 1]] = True
+    spans = [(0, count - 1)]
+    while spans:
+        first, last = spans.pop()
+        if last - first < 2:
+            continue
+        inner = slice(first + 1, last)
+        share = (times[inner] - times[first]) / (times[last] - times[first])
+        away = np.abs(values[inner] - values[first] - share * (values[last] - values[first]))
+        worst = int(np.argmax(away))
+        if away[worst] > tolerance:
+            middle = first + 1 + worst
+            kept[middle] = True
+            spans += [(first, middle), (middle, last)]
+    return np.flatnonzero(kept)
 
 
 @dataclass(frozen=True)
@@ -76,7 +237,7 @@ def fit_keys(
     # Normal equations of equation 9.1, in which the motion enters only by its products with the keys.
     gram = multiply(flat, flat.T)
     gram[np.diag_indices(len(gram))] += RIDGE * max(float(np.trace(gram)) / max(len(gram), 1), 1e-30)
-    parts = (motion[n : n + _ROWS] for n in range(0, len(motion), _ROWS))
+    parts = (motion[n : n + _FRAMES_AT_ONCE] for n in range(0, len(motion), _FRAMES_AT_ONCE))
     products = np.concatenate([multiply(part.reshape(len(part), -1).astype(np.float64), flat.T) for part in parts])
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     weights = bounded_least_squares(gram, products, low, high)
@@ -129,9 +290,9 @@ def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tup
     """
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     worst, total = 0.0, 0.0
-    for n in range(0, len(motion), _ROWS):
-        part = motion[n : n + _ROWS]
-        mixed = multiply(weights[n : n + _ROWS], flat)
+    for n in range(0, len(motion), _FRAMES_AT_ONCE):
+        part = motion[n : n + _FRAMES_AT_ONCE]
+        mixed = multiply(weights[n : n + _FRAMES_AT_ONCE], flat)
         squared = np.square(mixed.reshape(part.shape) - part).sum(axis=2, dtype=np.float64)
         worst, total = max(worst, float(squared.max(initial=0.0))), total + float(squared.sum())
     return float(np.sqrt(worst)), float(np.sqrt(total / max(motion.shape[0] * motion.shape[1], 1)))

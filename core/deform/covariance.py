@@ -20,7 +20,7 @@ from ..errors import HeadError
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
 from ..heads.regions import REGIONS, membership
 from ..mesh.kernels import Kernel, distances
-from ..mesh.sparse import NestedDissection
+from ..mesh.sparse import SymmetricSystem
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray, as_points
 
@@ -101,7 +101,7 @@ def skin_covariance(
     to_eyes = distances(places[landmarks[_EYES]], places[used]).min(axis=0) / unit
     reach = REACH * unit * (1.0 - _LID_REDUCTION * np.exp(-np.square(to_eyes / _LID_EXTENT)))
     pull = np.bincount(edges.ravel(), np.repeat(weights, 2), len(used))
-    system = NestedDissection(edges, -weights, areas / reach**2 + pull, places[used], np.float32)
+    system = SymmetricSystem(edges, -weights, areas / reach**2 + pull, np.float32)
     # 3. Columns of C = B^-1 M B^-1 at the landmarks (equation 5.4); landmarks at rest have none.
     seeds = np.where(moving[landmarks], place[landmarks], -1)
     values = system.sandwich(seeds, areas)

@@ -157,7 +157,6 @@ def learn(
     motions of the place x, projected to their strongest singular vectors.
     """
     unit = outer_eye_distance(np.asarray(vertices)[landmarks])
-    places = _normalised(vertices, landmarks)
     moving = np.flatnonzero(region_weights.any(axis=0)) if kept is None else np.asarray(kept)
     # m(x) of all places, one row each; equation 5.6.
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1) / unit
@@ -165,12 +164,15 @@ def learn(
     alike = flat / (np.sqrt(3.0) * size)
     # Project to the strongest singular vectors.
     _, axes = linalg.eigh(alike.T @ alike)
-    return ExpressionModel(
-        places=places[moving].astype(np.float32),
-        sides=_sides(region_weights)[moving].astype(np.float32),
-        features=(alike @ axes[:, ::-1][:, :_FEATURES]).astype(np.float32),
-        landmarks=places[landmarks].astype(np.float32),
-    )
+    return _model_of(vertices, landmarks, region_weights, moving, alike @ axes[:, ::-1][:, :_FEATURES])
+
+
+def _model_of(
+    vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray, moving: IntArray, features: FloatArray
+) -> ExpressionModel:
+    places, sides = _normalised(vertices, landmarks), _sides(region_weights)
+    parts = places[moving], sides[moving], features, places[landmarks]
+    return ExpressionModel(*(part.astype(np.float32) for part in parts))
 
 
 @lru_cache(maxsize=1)
@@ -261,15 +263,9 @@ def transferred(
     """
     known = load_head()
     moving = np.flatnonzero(known.regions.any(axis=0))
-    places = _normalised(known.vertices, known.landmarks)
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1)
     flat = flat / outer_eye_distance(known.vertices[known.landmarks])
-    model = ExpressionModel(
-        places=places[moving].astype(np.float32),
-        sides=_sides(known.regions)[moving].astype(np.float32),
-        features=flat.astype(np.float32),
-        landmarks=places[known.landmarks].astype(np.float32),
-    )
+    model = _model_of(known.vertices, known.landmarks, known.regions, moving, flat)
     out = model.transfer(vertices, landmarks, region_weights).reshape(len(vertices), -1, 3).transpose(1, 0, 2)
     unit = outer_eye_distance(np.asarray(vertices, dtype=np.float64)[landmarks])
     return np.ascontiguousarray(out * np.float32(unit))

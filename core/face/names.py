@@ -106,13 +106,7 @@ def action_indices(names: Iterable[str]) -> NDArray[np.intp]:
     return np.array([ACTIONS.index(name) for name in names], dtype=np.intp)
 
 
-def _mirrored_action(name: str) -> str:
-    if name.endswith("Right"):
-        return name.removesuffix("Right") + "Left"
-    return name.removesuffix("Left") + "Right" if name.endswith("Left") else name
-
-
-ACTION_MIRROR: NDArray[np.intp] = action_indices(_mirrored_action(name) for name in ACTIONS)
+ACTION_MIRROR: NDArray[np.intp] = action_indices(_mirrored(name) for name in ACTIONS)
 """Mirror image of each action: ``actions[ACTION_MIRROR]`` are the actions of a face that was flipped left to right."""
 
 
@@ -134,6 +128,7 @@ shipped tables have at most 5 names of another in common (Daz's are ARKit's).
 """
 
 
+@lru_cache(maxsize=1 << 14)
 def normalised(name: str) -> str:
     """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
     name = unicodedata.normalize("NFKC", name)

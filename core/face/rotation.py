@@ -110,31 +110,7 @@ def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> F
     -----
     Spherical linear interpolation of quaternions (Shoemake 1985).
     """
-    a, b = _quaternions(first), _quaternions(second)
-    cosine = (a * b).sum(axis=1)
-    b = np.where(cosine[:, None] < 0.0, -b, b)
-    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
-    near = angle < 1e-6  # here the ratio of the sines tends to the share
-    sine = np.where(near, 1.0, np.sin(angle))
-    of_a = np.where(near, 1.0 - share, np.sin((1.0 - share) * angle) / sine)
-    of_b = np.where(near, share, np.sin(share * angle) / sine)
-    w, x, y, z = (of_a[:, None] * a + of_b[:, None] * b).T
-    size = w * w + x * x + y * y + z * z
-    pitch = np.arctan2(2.0 * (w * x + y * z), size - 2.0 * (x * x + y * y))
-    yaw = np.arcsin(np.clip(2.0 * (w * y - z * x) / size, -1.0, 1.0))
-    roll = np.arctan2(2.0 * (w * z + x * y), size - 2.0 * (y * y + z * z))
-    return np.stack([pitch, yaw, roll], axis=1)
-
-
-def _quaternions(angles: FloatArray) -> FloatArray:
-    """Unit quaternions (w, x, y, z), (N, 4), of pitch, yaw and roll, (N, 3)."""
-    (cp, cy, cr), (sp, sy, sr) = np.cos(angles / 2.0).T, np.sin(angles / 2.0).T
-    return np.stack(
-        [
-            cr * cy * cp + sr * sy * sp,
-            cr * cy * sp - sr * sy * cp,
-            cr * sy * cp + sr * cy * sp,
-            sr * cy * cp - cr * sy * sp,
-        ],
-        axis=1,
-    )
+    rotations = linalg.part("spatial.transform").Rotation
+    start, end = rotations.from_euler("xyz", first), rotations.from_euler("xyz", second)
+    turned = rotations.from_rotvec(share[:, None] * (end * start.inv()).as_rotvec()) * start
+    return np.array([matrix_to_euler(turn) for turn in turned.as_matrix()]).reshape(-1, 3)

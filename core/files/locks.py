@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from io import FileIO
 from pathlib import Path
 
@@ -59,9 +59,16 @@ def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
     if stream is None:
         yield False
         return
+    with _deleting(stream, path):
+        yield True
+
+
+@contextmanager
+def _deleting(stream: FileIO, path: Path) -> Iterator[None]:
+    """Delete and close a lock file at the end, as far as possible."""
     with stream:
         try:
-            yield True
+            yield
         finally:
             if sys.platform != "win32":  # where an open file cannot be deleted
                 with suppress(OSError):  # another user's, in a folder where only owners may delete
@@ -127,15 +134,10 @@ def _sweep_one(folder: Path, mark: str, names: list[str]) -> None:
     if not _try_lock(stream):
         stream.close()
         return
-    with stream:
+    with _deleting(stream, lock):
         for name in names:
             if name.startswith(f"{PREFIX}{mark}.") and name != lock.name:
                 _remove(folder / name)
-        if sys.platform != "win32":
-            lock.unlink(missing_ok=True)
-    if sys.platform == "win32":
-        with suppress(OSError):
-            lock.unlink()
 
 
 def _remove(path: Path) -> None:
@@ -153,16 +155,8 @@ def _held_if_possible(path: Path) -> Iterator[None]:
     except OSError:
         path.unlink(missing_ok=True)
         stream = None
-    try:
+    with nullcontext() if stream is None else _deleting(stream, path):
         yield
-    finally:
-        if stream is not None:
-            if sys.platform != "win32":
-                path.unlink(missing_ok=True)
-            stream.close()
-            if sys.platform == "win32":
-                with suppress(OSError):
-                    path.unlink()
 
 
 def _acquired(path: Path, patience: float | None) -> FileIO | None:

@@ -121,11 +121,6 @@ def load_head(path: Path | None = None) -> Head:
     return _shipped(path) if path in (HEAD_FILE, WOMAN_FILE) else _read(path)
 
 
-@lru_cache(maxsize=2)
-def _shipped(path: Path) -> Head:
-    return _read(path)
-
-
 def _read(path: Path) -> Head:
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))
@@ -153,6 +148,9 @@ def _read(path: Path) -> Head:
             if isinstance(value := getattr(owner, field.name), np.ndarray):
                 value.flags.writeable = False
     return head
+
+
+_shipped = lru_cache(maxsize=2)(_read)
 
 
 def _head(archive: Archive) -> Head:

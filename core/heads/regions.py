@@ -32,7 +32,7 @@ from ..face.landmarks import (
     outer_eye_distance,
 )
 from ..mesh.kernels import Kernel, distances, wendland
-from ..mesh.surface import NearestPoints, SurfaceGraph
+from ..mesh.surface import NearestPoints, SurfaceGraph, edges_of
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 
@@ -113,7 +113,7 @@ def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArr
     own = painted.argmax(axis=0)
     sharp = moving & (own == np.arange(len(painted))[:, None])
     if faces is not None:
-        a, b = _edges(np.asarray(faces)).T
+        a, b = edges_of(np.asarray(faces)).T
         crossing = moving[a] & moving[b] & (own[a] != own[b])
         a, b = a[crossing], b[crossing]
         excess = (painted[own[v], v] - painted[own[w], v] for v, w in ((a, b), (b, a)))
@@ -173,15 +173,6 @@ def hold_landmarks(
     moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
     moved = np.clip(np.where(moved < _MIN_WEIGHT, 0.0, moved), 0.0, 1.0)
     return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))
-
-
-def _edges(faces: IntArray) -> NDArray[np.intp]:
-    """Edges, (E, 2), of faces (F, K) that are padded with -1."""
-    following: NDArray[np.intp] = np.roll(faces, -1, axis=1)
-    last = (faces >= 0) & (following < 0)
-    following = np.where(last, faces[:, :1], following)
-    pairs = np.stack([faces, following], axis=-1).reshape(-1, 2)
-    return np.asarray(pairs[(pairs >= 0).all(axis=1)], dtype=np.intp)
 
 
 def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..errors import HeadError
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, outer_eye_distance
 from ..face.rotation import fit_rotation
+from ..mesh.kernels import distances
 from ..mesh.surface import NearestPoints, surface_normals
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
@@ -62,7 +63,7 @@ class Template:
         outside = (head.regions.sum(axis=0) > 0.5) & (self.normals[:, 2] < 0.2)
         for part, apart in _EXCLUDED:
             marks = self.places[self.landmarks[part]]
-            outside &= np.linalg.norm(self.places[:, None] - marks, axis=2).min(axis=1) > apart
+            outside &= distances(self.places, marks).min(axis=1) > apart
         self.skin = np.flatnonzero(outside)[:: max(1, int(outside.sum()) // _SAMPLES)]
 
     @cached_property

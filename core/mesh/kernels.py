@@ -182,11 +182,7 @@ def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
     (N, M) float64
         Distances, in the unit of the points.
     """
-    squared = np.asarray(a @ (-2.0 * b.T))
-    # Added by coordinates, as numpy is slow along short axes.
-    squared += sum((a * a).T)[:, None]
-    squared += sum((b * b).T)
-    return np.asarray(np.sqrt(np.maximum(squared, 0.0, out=squared), out=squared))
+    return np.asarray(linalg.part("spatial.distance").cdist(a, b))
 
 
 class Warp:
@@ -210,28 +206,15 @@ class Warp:
     """
 
     def __init__(self, source: FloatArray, target: FloatArray, smoothing: float | FloatArray = 1e-3) -> None:
-        self._source = as_points(source, "source", error=HeadError)
-        goal = as_points(target, "target", count=len(self._source), error=HeadError)
-        count = len(self._source)
-        extent = float(np.linalg.norm(np.ptp(self._source, axis=0)))
-        affine = np.column_stack([np.ones(count), self._source])
-        # Interpolation conditions, and below them the side conditions that make the weights orthogonal to affine maps.
-        system = np.zeros((count + 4, count + 4))
-        system[:count, :count] = -distances(self._source, self._source)
-        system[np.arange(count), np.arange(count)] += smoothing * extent
-        system[:count, count:], system[count:, :count] = affine, affine.T
+        known = as_points(source, "source", error=HeadError)
+        goal = as_points(target, "target", count=len(known), error=HeadError)
+        smoothing = np.multiply(smoothing, np.linalg.norm(np.ptp(known, axis=0)))
+        spline = linalg.part("interpolate").RBFInterpolator
         try:
-            self._weights = linalg.solve(system, np.concatenate([goal, np.zeros((4, 3))]))
+            self._spline = spline(known, goal, smoothing=smoothing, kernel="linear", degree=1)
         except np.linalg.LinAlgError as error:
             raise HeadError("The landmarks lie in one plane. Bind them again.") from error
 
     def __call__(self, points: FloatArray) -> FloatArray:
         """Return the warped `points`, (N, 3)."""
-        count = len(self._source)
-        out = np.empty((len(points), 3))
-        for start in range(0, len(points), _CHUNK):
-            part = np.asarray(points[start : start + _CHUNK], dtype=np.float64)
-            affine = np.column_stack([np.ones(len(part)), part])
-            out[start : start + _CHUNK] = affine @ self._weights[count:]
-            out[start : start + _CHUNK] -= distances(part, self._source) @ self._weights[:count]
-        return out
+        return np.asarray(self._spline(points))

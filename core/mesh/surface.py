@@ -7,7 +7,6 @@ built-in head and 33,000 vertices of a finer one, in three and six dimensions.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Iterable
 
 import cv2
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..face.landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
+from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 
 _SINGLE_TREE = 4
@@ -111,22 +111,15 @@ def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArr
         Number of the piece of each vertex, from 0. A vertex without faces is a piece of its own.
     """
     corners = np.where(faces >= 0, faces, faces[:, :1]).astype(np.intp)
-    label = np.arange(count) if twins is None else np.array(twins, dtype=np.intp)
-    root = label[label]
-    while True:
-        # Union by propagation: each face takes its lowest label, each vertex the lowest of its faces, and each label
-        # the label of the vertex that it names.
-        low = root[corners].min(axis=1) if len(corners) else np.empty(0, dtype=np.intp)
-        new = root.copy()
-        np.minimum.at(new, corners.ravel(), np.repeat(low, corners.shape[1]))
-        np.minimum.at(new, root, new.copy())
-        np.minimum.at(new, label, new.copy())
-        new = np.minimum(new, new[label])
-        new = new[new]
-        if np.array_equal(new, root):
-            break
-        root = new
-    return np.asarray(np.unique(root, return_inverse=True)[1].reshape(-1), dtype=np.intp)
+    pairs = np.stack([np.broadcast_to(corners[:, :1], corners.shape), corners], axis=-1).reshape(-1, 2)
+    joined = pairs if twins is None else np.concatenate([pairs, np.column_stack([np.arange(count), twins])])
+    return _pieces(count, joined)
+
+
+def _pieces(count: int, edges: IntArray) -> NDArray[np.intp]:
+    """Number the pieces that edges (E, 2) connect, (count,), in the order of their first vertices."""
+    graph = linalg.part("sparse").coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count))
+    return np.asarray(linalg.part("sparse.csgraph").connected_components(graph, directed=False)[1], dtype=np.intp)
 
 
 def triangulate(faces: IntArray) -> NDArray[np.intp]:
@@ -182,13 +175,15 @@ class SurfaceGraph:
         length = np.linalg.norm(np.subtract(*self.vertices[self.edges.T]), axis=1)
         both = np.concatenate([self.edges, self.edges[:, ::-1]])
         order = np.argsort(both[:, 0], kind="stable")
-        self._neighbours: list[int] = both[order, 1].tolist()
-        self._lengths: list[float] = np.tile(length, 2)[order].tolist()
-        self._starts: list[int] = np.searchsorted(both[order, 0], np.arange(len(self.vertices) + 1)).tolist()
+        starts = np.searchsorted(both[order, 0], np.arange(len(self.vertices) + 1))
+        lengths = np.tile(length, 2)[order], both[order, 1], starts
+        self._graph = linalg.part("sparse").csr_matrix(lengths, (len(self.vertices), len(self.vertices)))
 
     def neighbours(self, vertex: int) -> list[int]:
         """Return the vertices that are one edge away from `vertex`."""
-        return self._neighbours[self._starts[vertex] : self._starts[vertex + 1]]
+        first, end = self._graph.indptr[vertex : vertex + 2]
+        found: list[int] = self._graph.indices[first:end].tolist()
+        return found
 
     def path_lengths(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
         """Compute the length of the shortest path along edges from each vertex to any seed.
@@ -203,10 +198,7 @@ class SurfaceGraph:
         (V,) float64
             Lengths; infinite beyond `limit`.
         """
-        way = np.full(len(self.vertices), np.inf)
-        for vertex, (length, _) in self._search(seeds, limit).items():
-            way[vertex] = length
-        return way
+        return self._search(seeds, limit)[0]
 
     def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:
         """Find the seed that is nearest to each vertex along edges.
@@ -216,10 +208,7 @@ class SurfaceGraph:
         (V,) intp
             The seed; -1 for vertices that are connected to none.
         """
-        nearest = np.full(len(self.vertices), -1)
-        for vertex, (_, before) in self._search(seeds, np.inf).items():  # in order of distance
-            nearest[vertex] = vertex if before == vertex else nearest[before]
-        return nearest
+        return np.maximum(self._search(seeds)[2], -1)
 
     def path(self, start: int, end: int) -> list[int]:
         """Find the shortest path along edges.
@@ -229,57 +218,27 @@ class SurfaceGraph:
         list of int
             Vertices from `start` to `end`; only these two if they are not connected.
         """
-        reached = self._search([start], np.inf, end)
-        if end not in reached:
-            return [start, end]
-        path = [end]
-        while path[-1] != start:
-            path.append(reached[path[-1]][1])
-        return path[::-1]
+        before, path = self._search([start])[1], [end]
+        while path[-1] != start and before[path[-1]] >= 0:
+            path.append(int(before[path[-1]]))
+        return path[::-1] if path[-1] == start else [start, end]
 
     def openings(self) -> list[NDArray[np.intp]]:
         """Return the connected borders of the mesh as arrays of vertices, the longest first."""
         border = self.edges[self.faces_at == 1]
-        label = {int(v): int(v) for v in np.unique(border)}
+        vertices = np.unique(border)
+        piece = _pieces(len(self.vertices), border)[vertices]
+        return sorted((vertices[piece == number] for number in np.unique(piece)), key=len, reverse=True)
 
-        def root(v: int) -> int:
-            while label[v] != v:
-                label[v] = label[label[v]]
-                v = label[v]
-            return v
-
-        # Union-find: join the ends of each border edge.
-        for a, b in border.tolist():
-            label[root(a)] = root(b)
-        pieces: dict[int, list[int]] = {}
-        for v in label:
-            pieces.setdefault(root(v), []).append(v)
-        return sorted((np.array(piece) for piece in pieces.values()), key=len, reverse=True)
-
-    def _search(self, seeds: Iterable[int], limit: float, end: int = -1) -> dict[int, tuple[float, int]]:
-        """Dijkstra's algorithm: the vertices within `limit` of `seeds`, each with its distance and predecessor.
-
-        With an `end`, vertices on the straight way to it come first (A*), and the search ends there.
+    def _search(self, seeds: Iterable[int], limit: float = np.inf) -> tuple[FloatArray, IntArray, IntArray]:
+        """Dijkstra's algorithm: the distance of each vertex from `seeds`, its predecessor, and the seed nearest to it;
+        infinity and negative numbers beyond `limit`.
         """
-        done: dict[int, tuple[float, int]] = {}
-        ahead = np.zeros(len(self.vertices))
-        if end >= 0:
-            ahead = np.linalg.norm(self.vertices - self.vertices[end], axis=1)
-        left: list[float] = ahead.tolist()
-        heap = [(left[int(seed)], int(seed), int(seed), 0.0) for seed in seeds]
-        heapq.heapify(heap)
-        while heap:
-            _, vertex, before, distance = heapq.heappop(heap)
-            if vertex in done:
-                continue
-            done[vertex] = (distance, before)
-            if vertex == end:
-                break
-            for i in range(self._starts[vertex], self._starts[vertex + 1]):
-                further, neighbour = distance + self._lengths[i], self._neighbours[i]
-                if further <= limit and neighbour not in done:
-                    heapq.heappush(heap, (further + left[neighbour], neighbour, vertex, further))
-        return done
+        indices = np.unique(np.fromiter(seeds, dtype=np.intp))
+        found: tuple[FloatArray, IntArray, IntArray] = linalg.part("sparse.csgraph").dijkstra(
+            self._graph, indices=indices, return_predecessors=True, limit=limit, min_only=True
+        )
+        return found
 
 
 def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
@@ -310,14 +269,16 @@ def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Unique edges, (E, 2), and the number of faces at each, (E,)."""
-    counts = (faces >= 0).sum(axis=1)
-    pairs = [
-        np.stack([polygons, np.roll(polygons, -1, axis=1)], axis=-1).reshape(-1, 2)
-        for count in np.unique(counts)
-        if count > 1
-        for polygons in [faces[counts == count, :count]]
-    ]
-    every = np.sort(np.concatenate(pairs), axis=1) if pairs else np.empty((0, 2), dtype=np.intp)
+    every = np.sort(edges_of(faces), axis=1)
     width = int(every.max(initial=0)) + 1
     keys, faces_at = np.unique(every[:, 0] * width + every[:, 1], return_counts=True)
     return np.stack([keys // width, keys % width], axis=1), faces_at
+
+
+def edges_of(faces: IntArray) -> NDArray[np.intp]:
+    """Return the edges, (E, 2), of faces (F, K) that are padded with -1."""
+    following: NDArray[np.intp] = np.roll(faces, -1, axis=1)
+    last = (faces >= 0) & (following < 0)
+    following = np.where(last, faces[:, :1], following)
+    pairs = np.stack([faces, following], axis=-1).reshape(-1, 2)
+    return np.asarray(pairs[(pairs >= 0).all(axis=1)], dtype=np.intp)

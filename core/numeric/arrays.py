@@ -18,12 +18,9 @@ def as_points(
     name: str,
     *,
     count: int | None = None,
-    dims: int = 3,
-    dtype: type = np.float64,
-    finite: bool = True,
     error: type[FacemimeError] = FacemimeError,
 ) -> FloatArray:
-    """Convert to a contiguous (N, dims) array of floats.
+    """Convert to a contiguous (N, 3) array of floats.
 
     Parameters
     ----------
@@ -33,32 +30,26 @@ def as_points(
         Name of the argument, for messages.
     count : int, optional
         Required N.
-    dims : int
-        Required number of columns.
-    dtype : type
-        Type of the result.
-    finite : bool
-        Whether all values have to be finite.
     error : type
         Exception to raise.
 
     Returns
     -------
-    (N, dims) ndarray
+    (N, 3) float64
         The points.
 
     Raises
     ------
     error
-        If the shape is wrong, or if `finite` is set and a value is NaN or infinite.
+        If the shape is wrong, or a value is NaN or infinite.
     """
-    array: FloatArray = np.ascontiguousarray(values, dtype=dtype)
-    expected = f"({'N' if count is None else count}, {dims})"
-    if array.ndim != 2 or array.shape[1] != dims or (count is not None and array.shape[0] != count):
+    array: FloatArray = np.ascontiguousarray(values, dtype=np.float64)
+    expected = f"({'N' if count is None else count}, 3)"
+    if array.ndim != 2 or array.shape[1] != 3 or (count is not None and array.shape[0] != count):
         raise error(
             "{name} must have the shape {expected}; got {shape}.", name=name, expected=expected, shape=array.shape
         )
-    if finite and not np.isfinite(array).all():
+    if not np.isfinite(array).all():
         rows = np.flatnonzero(~np.isfinite(array).all(axis=1))
         raise error(
             "{name} must be finite; {rows} rows are not, first row {first}.", name=name, rows=len(rows), first=rows[0]

@@ -90,9 +90,7 @@ def bounded_minimum(
     ValueError
         If a number is not finite.
     """
-    x = np.array(start, dtype=np.float64)
-    _solve(gram, product, lower, upper, x, (x > lower) & (x < upper))
-    return x
+    return np.asarray(bounded_least_squares(gram, product[None], lower, upper, start[None])[0])
 
 
 def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:

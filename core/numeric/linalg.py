@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 from functools import cache
+from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
@@ -33,6 +34,13 @@ def _scipy() -> Any:
         if _full_path(library.filepath).startswith(own):
             library.set_num_threads(1)
     return scipy.linalg
+
+
+@cache
+def part(name: str) -> Any:
+    """Load another part of scipy, such as its sparse matrices, in the same way."""
+    _scipy()
+    return import_module(f"scipy.{name}")
 
 
 def _full_path(path: str) -> str:

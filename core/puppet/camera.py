@@ -102,7 +102,8 @@ class Camera(LiveSource):
                 self._open()
             self._news.wait_for(lambda: self._frame is not None or self._failure or self._closed, timeout)
             frame, self._frame = self._frame, None
-            failure = "" if frame is not None else self._failure or self._hanging()
+            hangs = self._process is not None and perf_counter() - self._heard > self._silence
+            failure = "" if frame is not None else self._failure or ("hangs" if hangs else "")
             self._failure = "" if failure else self._failure
         if failure:
             self._end()
@@ -176,9 +177,6 @@ class Camera(LiveSource):
             self._frame = LiveFrame(time, frame.image, None, frame.taken, dropped)
             self._heard, self._last = perf_counter(), time
             self._news.notify_all()
-
-    def _hanging(self) -> str:
-        return "hangs" if self._process is not None and perf_counter() - self._heard > self._silence else ""
 
     def _end(self) -> None:
         """Kill the process; if it does not end in time, leave it to its listener."""

@@ -1,18 +1,209 @@
-"""Interfaces of the recipients of a live performance other than heads: recordings, streams and displays."""
+"""Recipients of a live performance: heads, prepared again only if something has changed, some of which are driven by
+their own shape keys, and the interfaces of all others: recordings, streams and browsers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import NDArray
+
+from ..bake.arkit import FrameCoefficients
 from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver, HeadFrame
+from ..heads.key_map import KeyMap
+from ..heads.rig import HeadRig
 from ..takes.neutral import Neutral
+from ..takes.timing import at_rest
 from ..tracking.result import TrackResult
 from .sources import LiveFrame
 
-if TYPE_CHECKING:
-    from .head_drivers import KeyDriver
+
+@dataclass(frozen=True, eq=False)
+class LiveKeys:
+    """Shape keys of a head, and the mapping that drives them.
+
+    Attributes
+    ----------
+    table : KeyMap
+        The key mapping.
+    offsets : dict of str to (A, 3) float32
+        Displacements at value 1 of the vertices in `HeadRig.all_vertices`: head frame, unit of the mesh.
+    ranges : dict of str to (float, float)
+        Smallest and largest value of each key.
+    """
+
+    table: KeyMap
+    offsets: dict[str, NDArray[np.float32]]
+    ranges: dict[str, tuple[float, float]]
+
+
+class KeyDriver:
+    """Drives a head by its shape keys; the pose comes from a `HeadDriver`.
+
+    Parameters
+    ----------
+    head : HeadDriver
+        Driver of the pose.
+    neutral : Neutral
+        Neutral face of `head`, not mirrored.
+    keys : LiveKeys
+        The shape keys.
+
+    Attributes
+    ----------
+    head : HeadDriver
+        As given.
+    keys : LiveKeys
+        As given.
+
+    Attributes
+    ----------
+    head : HeadDriver
+    keys : LiveKeys
+    """
+
+    def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
+        self.head, self.keys = head, keys
+        self._coefficients = FrameCoefficients(neutral, head.options)
+
+    def frame(self, result: TrackResult) -> HeadFrame:
+        """Compute the head for a tracking result with a face."""
+        posed = self.head.frame(result)
+        values = self.keys.table.apply(self._coefficients.of(result)[None], self.keys.ranges)
+        vertices = np.array(self.head.rest, dtype=np.float32)
+        for name, (value,) in values.items():
+            if value != 0.0:
+                vertices += np.float32(value) * self.keys.offsets[name]
+        amounts = np.array([float(values[name][0]) if name in values else 0.0 for name in self.keys.offsets])
+        return replace(posed, vertices=vertices, keys=amounts)
+
+
+@dataclass(frozen=True, eq=False)
+class LiveHead:
+    """A head to drive.
+
+    Attributes
+    ----------
+    rig : HeadRig
+        The head. If it is replaced by another object, the driver is prepared again.
+    options : DriveSettings
+        How the performance moves the head.
+    prepare : callable
+        Called in the worker's thread with each `HeadFrame`, to prepare what would otherwise delay its display.
+    keys : LiveKeys, optional
+        Shape keys that drive the vertices instead of the landmarks.
+    """
+
+    rig: HeadRig
+    options: DriveSettings = field(default_factory=DriveSettings)
+    prepare: Callable[[HeadFrame], Any] = lambda frame: None
+    keys: LiveKeys | None = None
+
+
+@dataclass
+class _Driven:
+    """The current state of a head."""
+
+    head: LiveHead
+    neutral: Neutral
+    result: TrackResult
+    driver: HeadDriver | KeyDriver
+    frame: HeadFrame
+    prepared: Any
+
+
+class HeadDrivers:
+    """Drivers of several heads, which may be replaced from one frame to the next."""
+
+    def __init__(self) -> None:
+        self._driven: list[_Driven] = []
+        self._heads: tuple[LiveHead, ...] = ()
+
+    @property
+    def drivers(self) -> list[HeadDriver | KeyDriver]:
+        """Drivers of the heads in the last frame."""
+        return [driven.driver for driven in self._driven]
+
+    def drive(
+        self,
+        heads: tuple[LiveHead, ...],
+        neutral: Neutral | None,
+        result: TrackResult,
+        chosen: tuple[int, ...] | None = None,
+    ) -> tuple[tuple[HeadFrame, ...], tuple[Any, ...]]:
+        """Drive heads by a result of a performer.
+
+        Parameters
+        ----------
+        heads : tuple of LiveHead
+            The heads. If this or `neutral` is another object than before, drivers are prepared; deformers of unchanged
+            rigs are reused.
+        neutral : Neutral or None
+            The performer's neutral face; None for no frames.
+        result : TrackResult
+            Result of the performer; without a face there are no frames.
+        chosen : tuple of int, optional
+            The heads that this performer drives; by default all. The others keep their last frame, initially at rest.
+
+        Returns
+        -------
+        frames : tuple of HeadFrame
+            Frame of each head.
+        prepared : tuple
+            Result of `LiveHead.prepare` for each head.
+        """
+        if neutral is not None and result.found:
+            self._update(heads, neutral, result, chosen)
+        elif chosen is None:
+            return (), ()
+        return tuple(driven.frame for driven in self._driven), tuple(driven.prepared for driven in self._driven)
+
+    def _update(
+        self, heads: tuple[LiveHead, ...], neutral: Neutral, result: TrackResult, chosen: tuple[int, ...] | None
+    ) -> None:
+        changed, before = self._heads is not heads, dict(enumerate(self._driven))
+        self._heads, drivers = heads, self.drivers
+        rest = None if chosen is None else at_rest(neutral, result)
+        for number, head in enumerate(heads):
+            known = before.get(number)
+            if chosen is None or number in chosen:
+                driven = _drive(head, neutral, result, drivers, known)
+            elif known is None:
+                driven = _drive(head, neutral, rest or result, drivers, known)
+            elif changed:
+                driven = _drive(head, known.neutral, known.result, drivers, known)
+            else:
+                continue
+            self._driven[number : number + 1] = [driven]
+        del self._driven[len(heads) :]
+
+
+def _drive(
+    head: LiveHead,
+    neutral: Neutral,
+    result: TrackResult,
+    drivers: list[HeadDriver | KeyDriver],
+    known: _Driven | None,
+) -> _Driven:
+    """Drive a head by a result, with the same driver as before if nothing else has changed."""
+    if known is not None and known.head is head and known.neutral is neutral:
+        driver = known.driver
+    else:
+        driver = _prepare(head, neutral, drivers)
+    frame = driver.frame(result)
+    return _Driven(head, neutral, result, driver, frame, head.prepare(frame))
+
+
+def _prepare(head: LiveHead, neutral: Neutral, drivers: list[HeadDriver | KeyDriver]) -> HeadDriver | KeyDriver:
+    """Create a driver, with the deformer of one of `drivers` that has the same rig."""
+    earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
+    before = {id(driver.rig): driver for driver in earlier}
+    driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
+    return driver if head.keys is None else KeyDriver(driver, neutral, head.keys)
 
 
 class Recorder(Protocol):

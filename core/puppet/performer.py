@@ -1,4 +1,5 @@
-"""A performer in a live session: calibration, what is learnt about the face, and smoothing.
+"""Performers: of a take, which is ready to drive heads, and in a live session, with calibration, what is learnt about
+the face, and smoothing.
 
 In a take, `calibrate` finds a neutral moment. Live, the performer is asked for one, and told how well it went.
 """
@@ -10,15 +11,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..drive.drive_settings import DriveSettings
+from ..drive.driver import HeadDriver
 from ..errors import FacemimeError, Message, SourceError
+from ..heads.rig import HeadRig
 from ..numeric.arrays import FloatArray
 from ..takes.face_space import load_face_space
 from ..takes.neutral import Neutral, calibrate, shut_level, trust
-from ..takes.take import TakeRecorder
+from ..takes.smooth import smooth_take
+from ..takes.take import Take, TakeRecorder
 from ..takes.timing import at_rest, between
 from ..tracking.result import TrackResult
 from ..tracking.smoothing import ResultSmoother
 from .learning import PerformerLearner
+from .puppet_settings import PuppetSettings
 from .sources import LiveFrame
 
 DURATION = 1.0
@@ -29,6 +35,46 @@ _MAX_MOTION = 0.02
 """Standard deviation of landmarks, in outer-eye distances, above which the performer has moved."""
 _RECENT = 900
 """Number of frames in `Performer.recent`: half a minute with most cameras."""
+
+
+@dataclass(frozen=True)
+class Performance:
+    """A prepared take, whether it is displayed, baked or written to a file.
+
+    Attributes
+    ----------
+    take : Take
+        The smoothed take.
+    neutral : Neutral
+        The performer's neutral face.
+    settings : DriveSettings
+        How the performance moves a head.
+    """
+
+    take: Take
+    neutral: Neutral
+    settings: DriveSettings
+
+    @classmethod
+    def of(cls, take: Take, settings: PuppetSettings) -> Performance:
+        """Prepare the performance in a take.
+
+        Parameters
+        ----------
+        settings : PuppetSettings
+            Smoothing, neutral face and driving.
+
+        Raises
+        ------
+        SourceError
+            If the take has no face, or none in the neutral second of the settings.
+        """
+        take = smooth_take(take, settings.smoothing)
+        return cls(take, calibrate(take, settings.neutral), settings.drive)
+
+    def driver(self, rig: HeadRig, reuse: HeadDriver | None = None) -> HeadDriver:
+        """Create the driver of a head for this performance; `reuse` as for `HeadDriver`."""
+        return HeadDriver(rig, self.neutral, self.settings, reuse=reuse)
 
 
 _MAX_YAW = np.radians(20.0)

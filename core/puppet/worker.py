@@ -26,9 +26,8 @@ from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
 from .casting import Casting
-from .head_drivers import HeadDrivers, LiveHead
-from .outputs import Display, Output, Recorder
-from .performer import Performer, Quality
+from .outputs import Display, HeadDrivers, LiveHead, Output, Recorder
+from .performer import Performer
 from .puppet_settings import PuppetSettings
 from .sources import LiveFrame, LiveSource
 
@@ -140,6 +139,8 @@ class LiveWorker:
         The current options; may be assigned at any time, as may `heads` and `displays`.
     displays : tuple of Display
         Receive every frame of the heads; they are not closed with the worker.
+    first : Performer
+        The performer of the first head.
     latest : LiveResult or None
         Result of the newest frame.
     counts : Counts
@@ -172,8 +173,8 @@ class LiveWorker:
         self.recording_error: OutputError | None = None
         self._load_tracker, self.output = load_tracker, output
         self.displays: tuple[Display, ...] = ()
-        self._first = Performer(neutral)
-        self._performers = {0: self._first}
+        self.first = Performer(neutral)
+        self._performers = {0: self.first}
         self._recorder: Recorder | None = None
         self._recording = threading.Lock()
         self._drivers = HeadDrivers()
@@ -199,25 +200,6 @@ class LiveWorker:
     def image_size(self) -> tuple[int, int]:
         """Width and height of the frames in pixels; (0, 0) before the first frame, and for takes."""
         return (self._size[1], self._size[0]) if self._size else (0, 0)
-
-    @property
-    def neutral(self) -> Neutral | None:
-        """The neutral face of the performer of the first head."""
-        return self._first.neutral
-
-    @property
-    def quality(self) -> Quality | None:
-        """Quality of the last calibration of the performer of the first head."""
-        return self._first.quality
-
-    @quality.setter
-    def quality(self, quality: Quality | None) -> None:
-        self._first.quality = quality
-
-    @property
-    def calibrating(self) -> bool:
-        """Whether a requested calibration is in progress."""
-        return self._first.calibrating
 
     def performer(self, number: int) -> Performer | None:
         """Return a performer of a source with several; None if none of their frames has come yet."""
@@ -248,11 +230,6 @@ class LiveWorker:
             if not range_of or performer.neutral is not None:
                 performer.calibrate(range_of=performer.neutral if range_of else None)
 
-    @property
-    def learnt(self) -> Neutral | None:
-        """The neutral face of the performer of the first head, once enough has been learnt to keep it."""
-        return self._first.learnt
-
     def forget(self) -> None:
         """Forget all neutral faces. The next second with a face is used, and learning starts from scratch."""
         for performer in tuple(self._performers.values()):
@@ -265,7 +242,7 @@ class LiveWorker:
     def recent_take(self) -> Take:
         """Return the take of the last half minute; SourceError before the first frame."""
         recorder = TakeRecorder({"source": self.source.name, "clock": self.source.clock})
-        for time, result in tuple(self._first.recent):
+        for time, result in tuple(self.first.recent):
             recorder.append(time, result)
         return recorder.finish()
 
@@ -337,13 +314,13 @@ class LiveWorker:
         heads: tuple[HeadFrame, ...] = ()
         prepared: tuple[Any, ...] = ()
         for one, performer, result in results:
-            if self.output is not None and performer is self._first:
+            if self.output is not None and performer is self.first:
                 self.output.send(one.time, result, performer.neutral, one.image_size)
             heads, prepared = self._drivers.drive(self.heads, performer.neutral, result, one.heads)
         driven = perf_counter()
         for display in self.displays:
             display.show(frame.taken, self._drivers.drivers, heads)
-        first = self._first.result or results[0][2]
+        first = self.first.result or results[0][2]
         shown = [result for _, _, result in results] if people else [first]
         preview = draw_preview(frame.image, shown, options.preview) if options.preview else None
         self.counts.tracked += 1
@@ -396,7 +373,7 @@ class LiveWorker:
         if (performer := self._performers.get(frame.performer)) is None:
             performer = self._performers[frame.performer] = Performer()
         if frame.heads is None or 0 in frame.heads:
-            self._first = performer
+            self.first = performer
         return performer
 
     def _tracked(self, tracker: FaceTracker, frame: LiveFrame, options: LiveOptions) -> TrackResult:
@@ -407,14 +384,14 @@ class LiveWorker:
         if frame.image.shape != self._size or face != self._face or self._people is not None:
             tracker.reset()
             self._people = None
-            self._first.change()
+            self.first.change()
             self._size, self._face = frame.image.shape, face
             if face is not None:
                 tracker.choose(*face)
         if self._next_face:
             self._next_face = False
             tracker.choose_next()
-            self._first.change()
+            self.first.change()
         return tracker.track(frame.image)
 
     def _record(self, frame: LiveFrame | None = None, seen: TrackResult | None = None) -> None:

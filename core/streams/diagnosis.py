@@ -125,7 +125,8 @@ class Diagnosis:
             return
         self._accepted += 1
         if self._accepted >= _INCOMPLETE:
-            self._say(_faceless(address[0]), now)
+            faceless = "Packets arrive from {host}, but no face in them. Check in the app that it sends the face."
+            self._say(Message(faceless, host=address[0]), now)
 
     def refuse(self, error: PacketError, data: bytes, address: Address, now: float) -> None:
         """Note a packet that was not accepted.
@@ -214,12 +215,6 @@ class Diagnosis:
             label=label,
             name=name,
         )
-
-
-def _faceless(host: str) -> str:
-    return Message(
-        "Packets arrive from {host}, but no face in them. Check in the app that it sends the face.", host=host
-    )
 
 
 def recognise(data: bytes, settings: StreamSettings) -> str | None:

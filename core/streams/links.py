@@ -6,7 +6,6 @@ import os
 import socket
 import struct
 from contextlib import suppress
-from typing import Protocol
 
 from .casting import Address
 from .protocols.frames import MAX_DATAGRAM
@@ -22,8 +21,8 @@ _MAX_MESSAGE = 1 << 25
 """Largest size in bytes of a message after its length."""
 
 
-class Link(Protocol):
-    """Interface of the transport of packets. None of its methods waits.
+class Link:
+    """Base class of transports of packets. None of its methods waits.
 
     Attributes
     ----------
@@ -60,9 +59,10 @@ class Link(Protocol):
         SourceError
             If another computer answers than the intended sender.
         """
+        raise NotImplementedError
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Send a packet back, if that is possible without waiting.
+        """Send a packet back, if senders need answers and that is possible without waiting.
 
         Parameters
         ----------
@@ -83,15 +83,26 @@ class Link(Protocol):
         bool
             Whether nothing can be sent to it; False for datagrams, which need no connection.
         """
+        return False
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """Return the sockets that have to become readable, and writable, before there is anything to receive."""
+        raise NotImplementedError
 
     def close(self) -> None:
         """Close the link. May be called twice, and by another thread."""
 
 
-class DatagramLink:
+class _Listening(Link):
+    """A link to senders that find this computer at an address of it."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self.address: Address = ("", 0)
+        self.message = ""
+        self._host, self._port = host, port
+
+
+class DatagramLink(_Listening):
     """Datagrams on a port of this computer.
 
     Parameters
@@ -105,9 +116,7 @@ class DatagramLink:
     largest = MAX_DATAGRAM
 
     def __init__(self, host: str, port: int) -> None:
-        self.address: Address = ("", 0)
-        self.message = ""
-        self._host, self._port = host, port
+        super().__init__(host, port)
         self._socket: socket.socket | None = None
 
     def open(self) -> None:
@@ -144,10 +153,6 @@ class DatagramLink:
             with suppress(OSError):
                 self._socket.sendto(data, address)
 
-    def is_lost(self, address: Address) -> bool:
-        """Return False. See `Link.is_lost`."""
-        return False
-
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
         """See `Link.waits`."""
         return ([], []) if self._socket is None else ([self._socket], [])
@@ -158,7 +163,7 @@ class DatagramLink:
             self._socket.close()
 
 
-class ConnectionsLink:
+class ConnectionsLink(_Listening):
     """Messages over TCP from senders that connect to this computer. Each message follows its length.
 
     Parameters
@@ -172,9 +177,7 @@ class ConnectionsLink:
     largest = _MAX_MESSAGE
 
     def __init__(self, host: str, port: int) -> None:
-        self.address: Address = ("", 0)
-        self.message = ""
-        self._host, self._port = host, port
+        super().__init__(host, port)
         self._listeners: list[socket.socket] = []
         self._connections: dict[Address, Connection] = {}
 
@@ -195,9 +198,6 @@ class ConnectionsLink:
             except OSError:
                 self._connections.pop(address).close()
         return None
-
-    def reply(self, data: bytes, address: Address) -> None:
-        """Do nothing, as these senders need no answers. See `Link.reply`."""
 
     def is_lost(self, address: Address) -> bool:
         """Return whether the sender has gone. See `Link.is_lost`."""

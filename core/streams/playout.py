@@ -54,6 +54,34 @@ _PULL = 0.1
 """Share of the difference by which the times of frames without timestamps follow their arrival."""
 
 
+@dataclass
+class StreamCounts:
+    """Numbers of packets.
+
+    Attributes
+    ----------
+    received, accepted : int
+        All packets, and those that were accepted.
+    malformed : int
+        Packets that do not follow the protocol.
+    refused : int
+        Packets not signed with the key, replayed, or not from the phone.
+    flooded : int
+        Packets that were not processed because too many came.
+    late, doubled, lost : int
+        Frames that came too late, came twice, or are missing, as far as the sender numbers them.
+    """
+
+    received: int = 0
+    accepted: int = 0
+    malformed: int = 0
+    refused: int = 0
+    flooded: int = 0
+    late: int = 0
+    doubled: int = 0
+    lost: int = 0
+
+
 @dataclass(order=True)
 class _Waiting:
     time: float
@@ -140,16 +168,13 @@ class Playout:
     ----------
     delay : float
         Delay in seconds after the earliest possible arrival.
-
-    Attributes
-    ----------
-    late, doubled, lost : int
-        Numbers of frames that came too late, came twice, or are missing; those missing are known only if the sender
-        numbers its frames, as one without numbers may just have become slower.
+    counts : StreamCounts, optional
+        Where frames are counted that came too late, came twice, or are missing; those missing are known only if the
+        sender numbers its frames, as one without numbers may just have become slower.
     """
 
-    def __init__(self, delay: float, *, predict: bool = True) -> None:
-        self.late = self.doubled = self.lost = 0
+    def __init__(self, delay: float, counts: StreamCounts | None = None, *, predict: bool = True) -> None:
+        self.counts = StreamCounts() if counts is None else counts
         self._delay, self._predict = delay, predict
         self._clock = ClockFollower(delay)
         self._waiting: list[_Waiting] = []
@@ -184,10 +209,11 @@ class Playout:
             self._entered = None
         if self._last and time <= self._last[-1].time:
             again = any(time == shown.time for shown in self._last)
-            self.doubled, self.late = self.doubled + again, self.late + (not again)
+            self.counts.doubled += again
+            self.counts.late += not again
             return False
         if any(time == waiting.time for waiting in self._waiting):
-            self.doubled += 1
+            self.counts.doubled += 1
             return False
         if self._entered is not None and time > self._entered:
             step = time - self._entered
@@ -198,7 +224,7 @@ class Playout:
         heapq.heappush(self._waiting, _Waiting(time, next(self._order), result, sequence))
         if len(self._waiting) > _MAX_WAITING:
             heapq.heappop(self._waiting)
-            self.late += 1
+            self.counts.late += 1
         return True
 
     def due(self) -> float | None:
@@ -222,7 +248,7 @@ class Playout:
         shown = Shown(waiting.time, self._due(waiting.time), waiting.result)
         if self._sequence is not None and waiting.sequence is not None:
             steps = waiting.sequence - self._sequence
-            self.lost += steps - 1 if 0 < steps < _MAX_WAITING else 0
+            self.counts.lost += steps - 1 if 0 < steps < _MAX_WAITING else 0
         self._sequence = waiting.sequence
         self._last = [*self._last[-1:], shown]
         self._predicted = 0

@@ -26,7 +26,7 @@ from .transport.addresses import cannot_send, nobody_receives, resolve
 from .transport.datagram import OwnSender
 from .transport.security import read_key
 
-SENT = tuple(name for name, protocol in PROTOCOLS.items() if protocol.sent)
+SENT = (OWN, "livelink", "vmc", "openseeface")
 """Names of the protocols that can be sent."""
 VTUBE_STUDIO = "vtubestudio"
 """Name of the protocol sent by `vtube_studio_api`, which needs a library."""

@@ -22,7 +22,7 @@ from .casting import SILENT, Address, Casting, FaceName, Role, label_of
 from .diagnosis import Diagnosis, Incoming, incoming
 from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone, PhoneLink
-from .playout import Playout, Shown
+from .playout import Playout, Shown, StreamCounts
 from .protocols.frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
 from .stream_settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
@@ -46,34 +46,6 @@ _NOTHING = TrackResult.nothing(0)
 
 
 @dataclass
-class StreamCounts:
-    """Numbers of packets.
-
-    Attributes
-    ----------
-    received, accepted : int
-        All packets, and those that were accepted.
-    malformed : int
-        Packets that do not follow the protocol.
-    refused : int
-        Packets not signed with the key, replayed, or not from the phone.
-    flooded : int
-        Packets that were not processed because too many came.
-    late, doubled, lost : int
-        Frames that came too late, came twice, or are missing, as far as the sender numbers them.
-    """
-
-    received: int = 0
-    accepted: int = 0
-    malformed: int = 0
-    refused: int = 0
-    flooded: int = 0
-    late: int = 0
-    doubled: int = 0
-    lost: int = 0
-
-
-@dataclass
 class _Face:
     """A face of a sender."""
 
@@ -81,7 +53,6 @@ class _Face:
     heard: float
     origin: FloatArray | None = None
     neutral: Neutral | None = None
-    counted: tuple[int, int, int] = (0, 0, 0)
     newest: FaceValues | TrackResult | None = None
     interval: float = 0.0
 
@@ -302,17 +273,11 @@ class StreamSource(LiveSource):
         if face is None:
             if len(sender.faces) >= _MAX_SENDERS:
                 sender.faces.pop(min(sender.faces, key=lambda name: sender.faces[name].heard))
-            face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay), now)
+            face = sender.faces[frame.subject] = _Face(Playout(self.settings.delay, self.counts), now)
         step = now - face.heard
         face.interval += (_FOLLOWED if face.interval else 1.0) * (step - face.interval)
         face.heard, face.neutral, face.newest = now, frame.neutral, frame.face
         face.playout.push(self._result(face, frame.face), frame.time, now, frame.sequence)
-        counted = face.playout.late, face.playout.doubled, face.playout.lost
-        late, doubled, lost = (new - old for new, old in zip(counted, face.counted, strict=True))
-        face.counted = counted
-        self.counts.late += late
-        self.counts.doubled += doubled
-        self.counts.lost += lost
 
     def _result(self, face: _Face, values: FaceValues | TrackResult | None) -> TrackResult:
         if values is None:

@@ -10,18 +10,12 @@ from ..errors import Message, SourceError
 from ..files.setting import Choice, setting, settings_of
 from . import vertices
 from .protocols import face_cap, face_motion, ifacialmocap, live_link, openseeface, vmc, vrcfacetracking, vtube_studio
-from .protocols.face_cap import FaceCapDecoder
 from .protocols.frames import Decoder
-from .protocols.ifacialmocap import IFacialMocapDecoder
-from .protocols.live_link import ANGLES, Angles, LiveLinkDecoder
-from .protocols.openseeface import OpenSeeFaceDecoder
-from .protocols.vmc import VmcDecoder
-from .protocols.vrcfacetracking import VrcFaceTrackingDecoder
-from .protocols.vtube_studio import VTubeStudioDecoder
+from .protocols.live_link import ANGLES, Angles
 from .transport import datagram
 from .transport.addresses import EVERYWHERE, LOOPBACK, Pairing, is_loopback
 from .transport.security import read_key
-from .vertices import VERTICES, VertexDecoder
+from .vertices import VERTICES
 
 OWN = "own"
 _MIN_DELAY = 0.0
@@ -59,9 +53,7 @@ class StreamProtocol:
     description : str
         Its tooltip: what sends it.
     number : int
-        Number that a .blend file stores.
-    sent : bool
-        Whether `StreamSender` sends it, too.
+        Number that a .blend file stores; -1 for its place in `PROTOCOLS`.
     """
 
     label: str
@@ -75,8 +67,7 @@ class StreamProtocol:
     end: bytes = b""
     stop: bytes = b""
     description: str = ""
-    number: int = 0
-    sent: bool = False
+    number: int = -1
 
 
 @dataclass(frozen=True)
@@ -255,79 +246,70 @@ EXPRESSIONS = settings_of(SendSettings)["expressions"].values
 
 
 PROTOCOLS: dict[str, StreamProtocol] = {
-    OWN: StreamProtocol(
-        "Facemime", datagram.PORT, None, description="Another computer with Facemime", number=0, sent=True
-    ),
+    OWN: StreamProtocol("Facemime", datagram.PORT, None, description="Another computer with Facemime"),
     "livelink": StreamProtocol(
         "Live Link Face",
         live_link.PORT,
-        lambda s: LiveLinkDecoder(s.angles),
+        lambda s: live_link.LiveLinkDecoder(s.angles),
         description="Epic's iPhone app in ARKit mode, or Unreal Engine",
-        number=1,
-        sent=True,
     ),
     "vmc": StreamProtocol(
         "VMC",
         vmc.PORT,
-        lambda s: VmcDecoder(),
+        lambda s: vmc.VmcDecoder(),
         description="VTuber programs that use the VMC protocol",
-        number=2,
-        sent=True,
     ),
     "openseeface": StreamProtocol(
         "OpenSeeFace",
         openseeface.PORT,
-        lambda s: OpenSeeFaceDecoder(),
+        lambda s: openseeface.OpenSeeFaceDecoder(),
         description="OpenSeeFace's tracker, or VTuber programs that receive from it",
-        number=3,
-        sent=True,
     ),
     "ifacialmocap": StreamProtocol(
         "iFacialMocap",
         ifacialmocap.PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.START,
         face_motion.PHONE_PORT,
         description="The app iFacialMocap on an iPhone",
-        number=4,
     ),
     "facemotion3d": StreamProtocol(
         "Facemotion3d",
         ifacialmocap.PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_START,
         face_motion.PHONE_PORT,
         stop=ifacialmocap.FACEMOTION_STOP,
         description="The app Facemotion3d on a phone",
-        number=5,
     ),
     "vtubestudio": StreamProtocol(
         "VTube Studio, MeowFace",
         vtube_studio.PORT,
-        lambda s: VTubeStudioDecoder(),
+        lambda s: vtube_studio.VTubeStudioDecoder(),
         vtube_studio.PORT,
         vtube_studio.request,
         leased=True,
         description="VTube Studio on an iPhone, or MeowFace on Android",
-        number=6,
     ),
     "facecap": StreamProtocol(
-        "Face Cap", face_cap.PORT, lambda s: FaceCapDecoder(), description="The app Face Cap on an iPhone", number=7
+        "Face Cap",
+        face_cap.PORT,
+        lambda s: face_cap.FaceCapDecoder(),
+        description="The app Face Cap on an iPhone",
     ),
     VERTICES: StreamProtocol(
         "Vertices",
         vertices.PORT,
-        lambda s: VertexDecoder(),
+        lambda s: vertices.VertexDecoder(),
         connected=True,
         description="Moved vertices from another Facemime or an engine over TCP",
-        number=8,
     ),
     "ifacialmocap-tcp": StreamProtocol(
         "iFacialMocap over TCP",
         ifacialmocap.TCP_PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.PHONE_PORT,
         lambda port: ifacialmocap.TCP_START,
         face_motion.TCP_PORT,
@@ -335,19 +317,18 @@ PROTOCOLS: dict[str, StreamProtocol] = {
         end=ifacialmocap.TCP_END,
         stop=ifacialmocap.TCP_STOP,
         description="The app iFacialMocap, in networks that lose packets",
-        number=9,
     ),
     "vrcfacetracking": StreamProtocol(
         "VRCFaceTracking",
         vrcfacetracking.PORT,
-        lambda s: VrcFaceTrackingDecoder(),
+        lambda s: vrcfacetracking.VrcFaceTrackingDecoder(),
         description="VRCFaceTracking, for headsets that track the face",
         number=11,
     ),
     "facemotion3d-tcp": StreamProtocol(
         "Facemotion3d over TCP",
         ifacialmocap.TCP_PORT,
-        lambda s: IFacialMocapDecoder(),
+        lambda s: ifacialmocap.IFacialMocapDecoder(),
         ifacialmocap.FACEMOTION_PORT,
         lambda port: ifacialmocap.FACEMOTION_TCP_START,
         face_motion.TCP_PORT,

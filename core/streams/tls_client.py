@@ -11,7 +11,7 @@ from contextlib import suppress
 
 from ..errors import Message, SourceError, messages
 from .casting import Address
-from .links import call, has_answered
+from .links import Link, call, has_answered
 from .transport.addresses import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, MAX_MESSAGE, VERSION, Pairing, resolve
 
 _AGAIN = 1.0
@@ -40,7 +40,7 @@ _EXPLANATIONS = messages(
 _CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
 
 
-class TlsLink:
+class TlsLink(Link):
     """Packets over TLS from a paired sender.
 
     Attributes
@@ -91,9 +91,6 @@ class TlsLink:
         if self._socket is not None and now - self._heard > (_SILENT if self._state == _STREAMING else _PATIENCE):
             self._give_up(now, _EXPLANATIONS["silent"])
         return None
-
-    def reply(self, data: bytes, address: Address) -> None:
-        """Do nothing, as the sender needs no answers. See `Link.reply`."""
 
     def is_lost(self, address: Address) -> bool:
         """Return whether there is no connection at the moment. See `Link.is_lost`."""

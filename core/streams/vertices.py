@@ -22,7 +22,7 @@ from ..heads.appearance import Appearance
 from ..heads.rig import HeadRig
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from ..puppet.head_drivers import KeyDriver
+from ..puppet.outputs import KeyDriver
 from ..takes.measured import FacePoints, PointTracker
 from ..takes.neutral import Neutral
 from .links import LENGTH
@@ -245,7 +245,7 @@ class VertexDecoder:
         if number not in self._heads and len(self._heads) >= _MAX_HEADS:
             raise PacketError("too many heads")
         name = data[MESH_HEADER.size : first].decode()[:MAX_SUBJECT]
-        self._heads[number] = _Head(name, _decoded_points(data, first, count))
+        self._heads[number] = _Head(name, _within(np.frombuffer(data, "<f4", 3 * count, first).reshape(-1, 3)))
 
     def _face(self, data: bytes) -> None:
         _, _, number, *eyes = FACE_HEADER.unpack_from(data)
@@ -285,10 +285,6 @@ class VertexDecoder:
         if number not in self._heads:
             raise PacketError("there is no mesh of that number")
         return self._heads[number]
-
-
-def _decoded_points(data: bytes, first: int, count: int) -> FloatArray:
-    return _within(np.frombuffer(data, "<f4", 3 * count, first).reshape(-1, 3))
 
 
 def _within(points: FloatArray) -> FloatArray:

@@ -118,17 +118,8 @@ class PointTracker:
     def at_rest(self) -> Neutral:
         """Return the face at rest as a neutral face, whose shut lids are assumed to touch."""
         known = all(map(len, self.rest.eyes))
-        return Neutral(
-            shape=(self.rest.landmarks - self._centre) / self.unit,
-            rotation=np.eye(3),
-            position=REST_POSITION,
-            start=0.0,
-            end=0.0,
-            shut=0.0,
-            gaze=np.zeros(2) if known else np.full(2, np.nan),
-            vergence=0.0 if known else np.nan,
-            measured=True,
-        )
+        gaze, vergence = (np.zeros(2), 0.0) if known else (np.full(2, np.nan), np.nan)
+        return replace(_at_rest((self.rest.landmarks - self._centre) / self.unit), gaze=gaze, vergence=vergence)
 
     def finish(self, recorder: TakeRecorder) -> Take:
         """Return the take of the recorded results, with the face at rest as its neutral face."""

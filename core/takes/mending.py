@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..errors import SourceError
 from ..face.rotation import euler_to_matrix
+from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from ..tracking.result import mirror_result
 from ..tracking.tracker import FaceTracker
@@ -133,22 +134,13 @@ def find_outliers(take: Take) -> NDArray[np.bool_]:
     unit = np.median(take.pose[seen, 0])
     place = np.column_stack([np.log(take.pose[seen, 0]), take.pose[seen, 4:6] / unit])
     shape = take.shape[seen].reshape(len(seen), -1).astype(np.float64)
-    scales = (
-        np.sqrt(1.0 / take.shape.shape[1]),
-        np.sqrt(0.5),
-        1.0,
-    )  # a difference of rotation matrices has the norm sqrt(2) angle
+    # A difference of rotation matrices has the norm sqrt(2) angle.
+    scales = np.sqrt(1.0 / take.shape.shape[1]), np.sqrt(0.5), 1.0
     for values, scale, least in zip((shape, turns, place), scales, _MIN_DEVIATIONS, strict=True):
-        away = scale * np.linalg.norm(values - _running_median(values), axis=1)
+        usual = linalg.part("ndimage").median_filter(values, (2 * _NEIGHBOURS + 1, 1), mode="mirror")
+        away = scale * np.linalg.norm(values - usual, axis=1)
         outliers[seen] |= away > max(least, _TIMES_MEDIAN * float(np.median(away)))
     return outliers
-
-
-def _running_median(values: FloatArray) -> FloatArray:
-    """Median of each row and its neighbours, (N, D), mirrored at the ends."""
-    padded = np.pad(values, ((_NEIGHBOURS, _NEIGHBOURS), (0, 0)), mode="reflect")
-    shifted = [padded[i : i + len(values)] for i in range(2 * _NEIGHBOURS + 1)]
-    return np.asarray(np.median(shifted, axis=0))
 
 
 def remove_outliers(take: Take) -> Take:

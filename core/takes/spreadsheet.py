@@ -16,7 +16,7 @@ from ..files.reading import shown
 from ..files.writing import replacing
 from .format import info_content, info_of
 from .table_text import TextTable, read_table
-from .take import Take, check_take
+from .take import DTYPES, Take, check_take
 from .timing import project
 
 _NOTE = "# facemime take "
@@ -123,22 +123,13 @@ def _read(table: TextTable) -> Take:
     landmarks = arrays["landmarks"].reshape(len(cells), -1, 2)
     if not any(name in place for name in columns["landmarks"]):
         landmarks[found] = project(shape[found], arrays["pose"][found])
-    return Take(
-        times=arrays["times"][:, 0],
-        landmarks=landmarks.astype(np.float32),
-        pose=arrays["pose"],
-        shape_params=arrays["shape_params"].astype(np.float32),
-        shape=shape.astype(np.float32),
-        confidence=np.nan_to_num(arrays["confidence"][:, 0], nan=1.0).astype(np.float32) * found,
-        found=found,
-        landmark_confidence=arrays["landmark_confidence"].astype(np.float32),
-        pupils=arrays["pupils"].reshape(-1, 2, 2).astype(np.float32),
-        gaze=arrays["gaze"].astype(np.float32),
-        vergence=arrays["vergence"][:, 0].astype(np.float32),
-        actions=arrays["actions"].astype(np.float32),
-        coefficients=arrays["coefficients"].astype(np.float32),
-        info=info,
-    )
+    arrays |= {name: arrays[name][:, 0] for name in ("times", "vergence")}
+    arrays |= {"landmarks": landmarks, "shape": shape, "pupils": arrays["pupils"].reshape(-1, 2, 2)}
+    arrays["confidence"] = np.nan_to_num(arrays["confidence"][:, 0], nan=1.0) * found
+    rows: dict[str, Any] = {
+        name: array.astype(DTYPES.get(name, np.float32)) for name, array in (arrays | {"found": found}).items()
+    }
+    return Take(**rows, info=info)
 
 
 def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> np.ndarray[Any, np.dtype[np.float64]]:

@@ -89,20 +89,8 @@ class Take:
 
     def result(self, frame: int) -> TrackResult:
         """Return the tracking result of a frame."""
-        return TrackResult(
-            found=bool(self.found[frame]),
-            landmarks=self.landmarks[frame].astype(np.float64),
-            pose=self.pose[frame],
-            shape_params=self.shape_params[frame].astype(np.float64),
-            shape=self.shape[frame].astype(np.float64),
-            confidence=float(self.confidence[frame]),
-            landmark_confidence=self.landmark_confidence[frame].astype(np.float64),
-            pupils=self.pupils[frame].astype(np.float64),
-            gaze=self.gaze[frame].astype(np.float64),
-            vergence=float(self.vergence[frame]),
-            actions=self.actions[frame].astype(np.float64),
-            coefficients=self.coefficients[frame].astype(np.float64),
-        )
+        rows = {name: getattr(self, name)[frame] for name in FIELDS[1:]}
+        return TrackResult(**{name: row.astype(float) if row.ndim else row.item() for name, row in rows.items()})
 
     def part(self, chosen: slice | NDArray[np.bool_] | NDArray[np.intp]) -> Take:
         """Return a take of the chosen frames."""
@@ -114,8 +102,8 @@ FIELDS = (
     *("landmark_confidence", "pupils", "gaze", "vergence", "actions", "coefficients"),
 )
 """Names of the arrays of a take, which have one row per frame."""
-_DTYPES = {"pose": np.float64, "found": np.bool_}
-"""Data types of arrays of a recorded take; the others are float32."""
+DTYPES: dict[str, type] = {"times": np.float64, "pose": np.float64, "found": np.bool_}
+"""Data types of arrays of a take; the others are float32."""
 
 
 def describe(source: str, fps: float, image_size: tuple[int, int], model: str, clock: str = "media") -> dict[str, Any]:
@@ -185,9 +173,9 @@ class TakeRecorder:
         if not self._results:
             raise SourceError("Nothing was tracked, as the source has no frames. Choose another source.")
 
-        rows = {name: [getattr(result, name) for result in self._results] for name in FIELDS if name != "times"}
+        rows = {name: [getattr(result, name) for result in self._results] for name in FIELDS[1:]}
         arrays: dict[str, Any] = {
-            name: np.array(values, dtype=_DTYPES.get(name, np.float32)) for name, values in rows.items()
+            name: np.array(values, dtype=DTYPES.get(name, np.float32)) for name, values in rows.items()
         }
         return Take(times=np.array(self._times, dtype=np.float64), **arrays, info=dict(self.info))
 

@@ -22,7 +22,7 @@ from ..face.landmarks import N_LANDMARKS
 from ..heads.appearance import Appearance, AttachedPart, Material
 from ..heads.rig import neck_of
 from ..numeric.arrays import FloatArray, IntArray
-from ..puppet.head_drivers import KeyDriver
+from ..puppet.outputs import KeyDriver
 from .page import digest
 
 MAGIC = b"FMVM"

@@ -10,7 +10,7 @@ from websockets.sync.client import ClientConnection, connect
 from ..drive.driver import HeadDriver, HeadFrame
 from ..errors import Message, OutputError
 from ..heads.appearance import Appearance
-from ..puppet.head_drivers import KeyDriver
+from ..puppet.outputs import KeyDriver
 from ..streams.transport.background import Connecting
 from .messages import PONG, NatsError, NatsReader, Operation, connecting, encode_frame, publishing
 from .model import Scene, ViewerModel

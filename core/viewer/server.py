@@ -26,7 +26,7 @@ from websockets.server import ServerProtocol
 
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
-from ..puppet.head_drivers import KeyDriver
+from ..puppet.outputs import KeyDriver
 from ..streams.transport.addresses import cannot_listen
 from ..streams.transport.background import Serving, listening
 from .gate import MAX_CONNECTIONS, Gate, Guest
@@ -119,14 +119,12 @@ class ViewerServer(Serving):
         self.message = self.address = ""
         self._token = settings.token or new_token()
         self._scene = Scene(appearances)
-        self._frame = b""
         self._files = page_files()
         self._context = settings.context()
         self._listener = listening(settings.host, settings.port, MAX_CONNECTIONS)
         super().__init__("facemime-viewer")
         self._served: tuple[int, str, tuple[ViewerModel, ...]] = (0, "", ())
         self._packed: dict[str, asyncio.Task[bytes]] = {}
-        self._wakes: set[asyncio.Event] = set()
         self._ready = threading.Event()
         self._error: OSError | None = None
         self._thread.start()
@@ -217,11 +215,6 @@ class ViewerServer(Serving):
     def _address(self, server: Server) -> str:
         port = next(iter(server.sockets)).getsockname()[1]
         return f"{self.settings.scheme}://{self.settings.shown_host()}:{port}/{self._token}/"
-
-    def _publish(self, frame: bytes) -> None:
-        self._frame = frame
-        for wake in self._wakes:
-            wake.set()
 
     def _replace(self, scene: int, path: str, models: tuple[ViewerModel, ...]) -> None:
         if path != self._served[1]:

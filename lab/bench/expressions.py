@@ -21,11 +21,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import drive_take
 from facemime.core.face.landmarks import IBUG68_INDICES, from_ibug, outer_eye_distance
 from facemime.core.files.capture import VideoSource
 from facemime.core.heads.rig import built_in_head
-from facemime.core.puppet.performance import Performance
+from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.from_video import track_video

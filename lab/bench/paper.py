@@ -18,8 +18,7 @@ from facemime.core.control_points.greedy import START, GreedySelection
 from facemime.core.control_points.select import select_control_points
 from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.drive_settings import DriveSettings
-from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import HeadDriver, drive_take
 from facemime.core.face.landmarks import from_ibug
 from facemime.core.files.setting import settings_of
 from facemime.core.heads.regions import REGIONS, UPPER, membership, sharp_regions

@@ -18,7 +18,7 @@ from facemime.core.control_points.select import select_control_points
 from facemime.core.control_points.table import REGION_COLOURS
 from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.drive_settings import DriveSettings
-from facemime.core.drive.motion import select_distinct_frames
+from facemime.core.drive.driver import select_distinct_frames
 from facemime.core.face.landmarks import from_ibug
 from facemime.core.files.capture import VideoSource
 from facemime.core.heads.regions import membership, sharp_regions

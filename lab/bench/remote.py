@@ -23,7 +23,7 @@ import facemime
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.files.capture import VideoSource
 from facemime.core.heads.rig import built_in_head
-from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.streams.playout import Playout
 from facemime.core.streams.protocols.frames import PacketError

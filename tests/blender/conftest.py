@@ -46,6 +46,8 @@ def _own_documents(tmp_path_factory):
 def _registered(_own_documents):
     """Register the extension, and unregister it at the end: Blender crashes if it exits with classes registered."""
     facemime.register()
+    gc.collect()
+    gc.freeze()  # collecting garbage need not look at the modules each time
     yield
     facemime.unregister()
 

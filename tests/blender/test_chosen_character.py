@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from facemime.blender.heads.binding import bind_character
-from facemime.blender.heads.binding_undo import FormerBinding
 from facemime.blender.heads.family import character_in, face_candidates, heads_of, known_keys
 from facemime.blender.heads.new_heads import add_head
+from facemime.blender.heads.placing import FormerBinding
 from facemime.blender.meshes import is_head, read_landmarks
 from facemime.blender.names import PART_PROPERTY, REGION_GROUPS
 from facemime.core.errors import HeadError

@@ -16,7 +16,7 @@ import pytest
 
 from facemime.blender.rigs import read_rig
 from facemime.core.drive import posing, retarget
-from facemime.core.puppet.performance import Performance
+from facemime.core.puppet.performer import Performance
 from facemime.core.takes.file import load_take
 from facemime.settings import user_presets as presets
 from facemime.settings.values import bake_settings, puppet_settings

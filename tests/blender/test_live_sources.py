@@ -26,8 +26,8 @@ def test_each_performer_has_a_calibration(take):
     assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
     assert running().countdown is not None
     ticks_until(lambda: calibration_of(settings.performers[1]))
-    assert settings.performer == 1 and running().worker.quality is not None
-    np.testing.assert_array_equal(read_calibration(settings).shape, running().worker.neutral.shape)
+    assert settings.performer == 1 and running().worker.first.quality is not None
+    np.testing.assert_array_equal(read_calibration(settings).shape, running().worker.first.neutral.shape)
     bpy.ops.facemime.stop_puppet()
     bpy.ops.facemime.remove_performer()
     assert [performer.name for performer in settings.performers] == ["Performer 1"]

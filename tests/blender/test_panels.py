@@ -144,7 +144,7 @@ def test_each_row_of_the_list_shows_number_region_order_and_error():
     head = add_head(bpy.context)
     write_selection(head.data, select_control_points(read_rig(head), performance(), max_points=12))
     layout, first = Layout(), next(row for row in shown_rows(head) if row.order == 1)
-    FACEMIME_UL_landmarks.draw_item(None, bpy.context, layout, None, None, 0, None, "", first.landmark)
+    FACEMIME_UL_landmarks.draw_row(None, bpy.context, layout, None, first.landmark)
     regions = ", ".join(REGIONS[row].name.capitalize() for row in first.regions)
     assert regions
     for part in (str(IBUG68_INDICES[first.landmark]), regions, f"1: {100 * first.error:.1f}%"):
@@ -356,7 +356,7 @@ def test_takes_and_the_key_table_are_listed_with_their_operators(tmp_path):
     bpy.ops.object.select_all(action="DESELECT")
     assert "facemime.learn_key_map" in draw(FACEMIME_PT_key_map) and "max_keys" in draw(FACEMIME_PT_take_bake)
     layout = Layout()
-    FACEMIME_UL_takes.draw_item(None, bpy.context, layout, takes, takes.items[0], 0, takes, "index", 0)
+    FACEMIME_UL_takes.draw_row(None, bpy.context, layout, takes.items[0], 0)
     assert "0:02.4" in layout.texts() and "PACKAGE" in layout.texts()
-    FACEMIME_UL_key_rows.draw_item(None, bpy.context, layout, takes.bake, takes.bake.rows[0], 0, takes.bake, "row", 0)
+    FACEMIME_UL_key_rows.draw_row(None, bpy.context, layout, takes.bake.rows[0], 0)
     assert takes.bake.rows[0].source in layout.texts() and "gain" in draw(FACEMIME_PT_key_map)

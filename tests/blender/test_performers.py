@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from facemime.blender.heads.new_heads import add_head
+from facemime.core.puppet.performer import Performer
 from facemime.core.puppet.sources import TakePlayer
-from facemime.core.puppet.worker import LiveWorker
 from facemime.core.takes.neutral import calibrate
 from facemime.sessions import calibrating
 from facemime.settings.performers import read_calibration, stored_performers, write_calibration
@@ -83,7 +83,7 @@ def test_resetting_forgets_the_face_in_the_session_and_in_the_file(settings):
 
 def test_what_a_camera_teaches_about_the_performer_is_not_written_to_the_file(settings, take, monkeypatch):
     monkeypatch.setattr(calibrating, "_KEEPING", 0.0)
-    monkeypatch.setattr(LiveWorker, "learnt", property(lambda _: NEUTRAL))
+    monkeypatch.setattr(Performer, "learnt", property(lambda _: NEUTRAL))
     monkeypatch.setattr("facemime.sessions.start.open_source", lambda _: TakePlayer(take, "camera", loop=True))
     settings.source.kind = "CAMERA"
     bpy.ops.facemime.reset_calibration()

@@ -38,7 +38,7 @@ def test_a_recording_is_on_disk_from_the_start_and_in_the_list_at_the_end(sessio
     take = takes_store.read(line)
     assert take.times[0] == 0.0 and len(take) > 80 and "recovered" not in take.info
     assert take.info["clock"] == "media" and take.info["offset"] > 0.0
-    np.testing.assert_allclose(calibrate(take).shape, session.worker.neutral.shape)
+    np.testing.assert_allclose(calibrate(take).shape, session.worker.first.neutral.shape)
     assert line.length == pytest.approx(float(take.times[-1]))
     assert Session.current is session and not bpy.context.scene.facemime_takes.items[0].packed
 

@@ -70,7 +70,7 @@ def test_a_phone_drives_a_head_with_its_own_neutral_face(phone):
     start()
     ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.005)
     session = running()
-    assert session.worker.neutral.measured and session.worker.source.senders == ("127.0.0.1 Phone",)
+    assert session.worker.first.neutral.measured and session.worker.source.senders == ("127.0.0.1 Phone",)
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
     np.testing.assert_allclose(shown(head), rest, atol=1e-6)
 
@@ -105,7 +105,7 @@ def test_moved_vertices_drive_a_head_with_their_own_rest_as_the_neutral_face():
     ):
         start()
         ticks_until(lambda: np.abs(shown(head) - rest).max() > 0.015)
-    assert running().worker.neutral.measured
+    assert running().worker.first.neutral.measured
     assert bpy.ops.facemime.stop_puppet() == {"FINISHED"}
 
 
@@ -116,10 +116,10 @@ def test_a_calibration_of_a_phone_is_not_kept_for_the_camera(phone):
     write_calibration(settings, replace(calibrate(performance()), asked=True))
     before = read_calibration(settings)
     start()
-    assert running().worker.neutral.measured
+    assert running().worker.first.neutral.measured
     assert bpy.ops.facemime.calibrate(countdown=0.05) == {"FINISHED"}
-    ticks_until(lambda: running().countdown is None and running().worker.quality is not None)
-    assert running().worker.neutral.measured
+    ticks_until(lambda: running().countdown is None and running().worker.first.quality is not None)
+    assert running().worker.first.neutral.measured
     bpy.ops.facemime.stop_puppet()
     np.testing.assert_array_equal(read_calibration(settings).shape, before.shape)
 

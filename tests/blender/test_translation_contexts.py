@@ -8,10 +8,10 @@ import pytest
 
 import facemime.registration as registration
 from facemime.blender.heads.new_heads import add_head
-from facemime.blender.messages import CONTEXT, interface, load_languages
-from facemime.ui.translations import texts
+from facemime.blender.messages import CONTEXT, interface, load_languages, texts
+from facemime.blender.registering import classes_of
 
-CLASSES = [cls for module in registration._MODULES for cls in getattr(module, "CLASSES", ())]
+CLASSES = [cls for module in registration._MODULES for cls in classes_of(module)]
 TYPES = (bpy.types.Operator, bpy.types.Panel, bpy.types.Menu)
 
 

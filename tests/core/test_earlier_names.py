@@ -9,6 +9,7 @@ import pytest
 import facemime.blender  # noqa: F401 - adds its own earlier names
 from facemime.core.earlier_names import EarlierNames
 
+import_module("facemime.blender")
 FINDERS = [finder for finder in sys.meta_path if isinstance(finder, EarlierNames)]
 MOVED = [f"{finder._root}{name}" for finder in FINDERS for name in finder.moved]
 KEPT = ("core.binding.bind", "core.live.sources", "blender.media.rendering")

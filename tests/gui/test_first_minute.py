@@ -70,7 +70,7 @@ def calibrate(blender: Blender, sidebar: Sidebar, stop: tuple[float, float], but
         sidebar.press(button)
         blender.wait_for("Session.current.countdown is not None")
         blender.shot(f"calibrating-{number}")
-        blender.wait_for("Session.current.countdown is None and Session.current.worker.quality is not None")
+        blender.wait_for("Session.current.countdown is None and Session.current.worker.first.quality is not None")
         assert sidebar.find("bpy.ops.facemime.stop_puppet") == stop
         blender.move(*sidebar.view())
         blender.redraw()

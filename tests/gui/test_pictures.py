@@ -116,7 +116,7 @@ def test_the_first_tutorial_is_walked_and_each_picture_shows_its_step(studio):
     blender.do("countdown.perf_counter = time.perf_counter")
     counted = studio.picture("countdown", counting)
     assert white(counted) > white(rest) + 2e-3
-    calibrated = "Session.current.countdown is None and Session.current.worker.quality is not None"
+    calibrated = "Session.current.countdown is None and Session.current.worker.first.quality is not None"
     blender.wait_for(calibrated)
     studio.press("calibrate(pose='RANGE'")
     blender.wait_for("Session.current.countdown is not None")

@@ -23,9 +23,9 @@ pytestmark = pytest.mark.thorough
 _SNAPSHOT = f"""
 session, obj = Session.current, {HEAD}
 value = None
-if session is not None and session.shown is not None and session.worker.neutral is not None:
+if session is not None and session.shown is not None and session.worker.first.neutral is not None:
     if session.shown.heads and session.shown.number == session._number and session.shown.time > 1.5:
-        neutral = session.worker.neutral.to_dict()
+        neutral = session.worker.first.neutral.to_dict()
         value = {{"time": session.shown.time, "neutral": neutral, "shown": shown(obj).tolist()}}
 """
 """The vertices on display and their frame; nothing if the next frame has arrived meanwhile."""
@@ -171,7 +171,7 @@ def test_a_performer_is_calibrated_by_a_click_and_stored_by_name(blender, sideba
     blender.do("bpy.context.scene.facemime.keep_calibrations = True")
     blender.do(f"bpy.ops.wm.save_as_mainfile(filepath={str(blender.inside / 'kept.blend')!r}, copy=True)")
     assert blender.get("bpy.context.scene.facemime.performers[0].calibration").startswith("{")
-    assert blender.get("Session.current.worker.quality.message")
+    assert blender.get("Session.current.worker.first.quality.message")
     blender.shot("calibrated")
     stop(sidebar)
 

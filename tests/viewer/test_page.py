@@ -16,7 +16,7 @@ from facemime.core.face.landmarks import UPPER_LIDS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.heads.rig import FaceParts, Part, built_in_head
-from facemime.core.puppet.head_drivers import KeyDriver, LiveKeys
+from facemime.core.puppet.outputs import KeyDriver, LiveKeys
 from tests.helpers.parted_heads import with_parts
 from tests.helpers.viewer.watching import NEUTRAL, built_in, face, loaded, plain, shown_on, until, vertices_of
 

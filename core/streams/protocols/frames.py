@@ -205,28 +205,10 @@ def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
     size = finite(x * x + y * y + z * z + w * w)
     if not 0.25 <= size <= 4.0:
         raise PacketError("a rotation has no length")
-    x, y, z, w = (value / size**0.5 for value in (x, y, z, w))
-    return np.array(
-        [
-            [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)],
-            [2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)],
-            [2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)],
-        ]
-    )
+    return np.asarray(linalg.part("spatial.transform").Rotation.from_quat((x, y, z, w)).as_matrix())
 
 
 def to_quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
     """Convert a rotation matrix (3, 3) to a quaternion (x, y, z, w) with w at least 0."""
-    # The symmetric matrix whose largest eigenvalue is 1, with the quaternion as its eigenvector (Bar-Itzhack 2000).
-    t = turn
-    k = np.array(
-        [
-            [t[0, 0] - t[1, 1] - t[2, 2], t[1, 0] + t[0, 1], t[2, 0] + t[0, 2], t[2, 1] - t[1, 2]],
-            [0.0, t[1, 1] - t[0, 0] - t[2, 2], t[2, 1] + t[1, 2], t[0, 2] - t[2, 0]],
-            [0.0, 0.0, t[2, 2] - t[0, 0] - t[1, 1], t[1, 0] - t[0, 1]],
-            [0.0, 0.0, 0.0, t[0, 0] + t[1, 1] + t[2, 2]],
-        ]
-    )
-    vector = linalg.eigh(k, lower=False)[1][:, -1]
-    x, y, z, w = (vector if vector[3] >= 0.0 else -vector).tolist()
+    x, y, z, w = linalg.part("spatial.transform").Rotation.from_matrix(turn).as_quat(canonical=True).tolist()
     return x, y, z, w

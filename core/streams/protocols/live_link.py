@@ -15,6 +15,7 @@ import numpy as np
 
 from ...face.names import COEFFICIENT_INDEX
 from ...heads.built_in import LOOKS, eyes_of_gaze, gaze_of
+from ...takes.coefficient_table import LIVE_LINK_ORDER
 from ...takes.table_angles import EYES, HEAD, eye_angles, eye_directions, head_angles, head_rotation
 from .frames import MAX_SUBJECT, FaceValues, PacketError, StreamFrame, checked, no_coefficients, possible
 
@@ -22,17 +23,8 @@ PORT = 11111
 Angles = Literal["radians", "degrees", "half-turns"]
 ANGLES: dict[Angles, float] = {"radians": 1.0, "degrees": pi / 180.0, "half-turns": pi}
 """Radians per unit. The app sends radians; senders modelled on Unreal's plug-in send shares of 180 degrees."""
-CURVES: tuple[str, ...] = (
-    *("eyeBlinkLeft", "eyeLookDownLeft", "eyeLookInLeft", "eyeLookOutLeft", "eyeLookUpLeft", "eyeSquintLeft"),
-    *("eyeWideLeft", "eyeBlinkRight", "eyeLookDownRight", "eyeLookInRight", "eyeLookOutRight", "eyeLookUpRight"),
-    *("eyeSquintRight", "eyeWideRight", "jawForward", "jawLeft", "jawRight", "jawOpen", "mouthClose", "mouthFunnel"),
-    *("mouthPucker", "mouthLeft", "mouthRight", "mouthSmileLeft", "mouthSmileRight", "mouthFrownLeft"),
-    *("mouthFrownRight", "mouthDimpleLeft", "mouthDimpleRight", "mouthStretchLeft", "mouthStretchRight"),
-    *("mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper", "mouthPressLeft", "mouthPressRight"),
-    *("mouthLowerDownLeft", "mouthLowerDownRight", "mouthUpperUpLeft", "mouthUpperUpRight", "browDownLeft"),
-    *("browDownRight", "browInnerUp", "browOuterUpLeft", "browOuterUpRight", "cheekPuff", "cheekSquintLeft"),
-    *("cheekSquintRight", "noseSneerLeft", "noseSneerRight", "tongueOut"),
-)
+_SWAPPED = {"jawLeft": "jawRight", "jawRight": "jawLeft", "mouthLeft": "mouthRight", "mouthRight": "mouthLeft"}
+CURVES: tuple[str, ...] = tuple(_SWAPPED.get(name, name) for name in LIVE_LINK_ORDER)
 """The coefficients in the order of this protocol; nine angles follow."""
 _COLUMNS = np.array([COEFFICIENT_INDEX[name] for name in CURVES])
 _VERSIONS = range(6, 10)

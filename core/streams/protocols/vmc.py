@@ -18,8 +18,6 @@ from .frames import FaceValues, PacketError, StreamFrame, checked, from_quaterni
 
 PORT = 39539
 """Port on which avatars listen."""
-PERFORMER_PORT = 39540
-"""Port on which programs that forward performances listen."""
 Names = Literal["arkit", "vrm"]
 """Names of expressions that are sent: ARKit's, or those of VRM."""
 _MAX_BUNDLE = 1400

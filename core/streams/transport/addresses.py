@@ -22,8 +22,6 @@ EVERYWHERE = "0.0.0.0"
 """All addresses of this computer."""
 PORT = 21576
 TOKEN_BYTES = 16
-FINGERPRINT_BYTES = 32
-"""Size of a digest of SHA-256."""
 VERSION = 1
 ACCEPTED, REFUSED = 0, 1
 

@@ -108,6 +108,8 @@ class Serving(Closing):
 
     def __init__(self, name: str) -> None:
         self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()
+        self._frame = b""
+        self._wakes: set[asyncio.Event] = set()
         self._thread = threading.Thread(target=self._work, name=name, daemon=True)
 
     def close(self) -> None:
@@ -118,6 +120,12 @@ class Serving(Closing):
     @abstractmethod
     async def _run(self) -> None:
         """Serve until `_over` is set; runs in the thread."""
+
+    def _publish(self, frame: bytes) -> None:
+        """Replace the newest frame, and wake what sends it; runs in the thread."""
+        self._frame = frame
+        for wake in self._wakes:
+            wake.set()
 
     def _call(self, task: Callable[[], object]) -> None:
         """Call a function in the thread, unless the thread has ended."""

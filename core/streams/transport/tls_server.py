@@ -72,8 +72,6 @@ class TlsSender(Serving):
         super().__init__("facemime-tls")
         self.port = int(self._listener.getsockname()[1])
         self._own = OwnSender(None)
-        self._frame = b""
-        self._wakes: set[asyncio.Event] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._strangers: Counter[str] = Counter()
         self._thread.start()
@@ -174,8 +172,3 @@ class TlsSender(Serving):
             self.receivers -= 1
             self._wakes.discard(wake)
             ended.cancel()
-
-    def _publish(self, frame: bytes) -> None:
-        self._frame = frame
-        for wake in self._wakes:
-            wake.set()

@@ -13,8 +13,7 @@ from hypothesis.extra.numpy import arrays
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive.actions import _MAX_ACTIVATION, TONGUE, ActionDriver
 from facemime.core.drive.drive_settings import DriveSettings
-from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import HeadDriver, drive_take
 from facemime.core.face.landmarks import from_ibug, outer_eye_distance
 from facemime.core.face.names import ACTION_MIRROR, ACTIONS, COEFFICIENTS, N_ACTIONS, action_indices
 from facemime.core.heads.rig import built_in_head

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.reduction import fit_basis
-from facemime.core.drive.motion import HeadMotion, select_distinct_frames
+from facemime.core.bake.fit import fit_basis
+from facemime.core.drive.driver import HeadMotion, select_distinct_frames
 from facemime.core.face.names import N_ACTIONS
 
 

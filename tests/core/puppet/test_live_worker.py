@@ -17,7 +17,7 @@ from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, lid
 from facemime.core.files.capture import VideoSource
 from facemime.core.heads.rig import built_in_head
 from facemime.core.puppet import worker as worker_module
-from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.performer import RangeCalibration
 from facemime.core.puppet.sources import LiveFrame, LiveSource, TakePlayer, VideoPlayer
 from facemime.core.puppet.timing import STAGES, Delays, Stopwatch
@@ -123,9 +123,9 @@ def test_a_real_clip_is_tracked_as_offline():
 def test_without_a_neutral_the_first_second_with_a_face_is_used():
     take = performance()
     worker = run(LiveWorker(Listed(frames_of(take)), heads=(LiveHead(built_in_head()),)))
-    assert worker.neutral is not None and len(worker.latest.heads) == 1
+    assert worker.first.neutral is not None and len(worker.latest.heads) == 1
     first = take.part(take.times <= 1.0 + 1e-9)
-    np.testing.assert_allclose(worker.neutral.shape, calibrate(first).shape, atol=1e-3)
+    np.testing.assert_allclose(worker.first.neutral.shape, calibrate(first).shape, atol=1e-3)
 
 
 def test_an_error_before_the_first_frame_ends_the_worker_and_later_ones_are_retried():
@@ -192,12 +192,12 @@ def test_calibration_uses_the_next_second_and_is_rejected_if_the_performer_moves
     worker = LiveWorker(Listed(frames_of(take)), neutral=still)
     worker.calibrate()
     run(worker)
-    assert worker.quality.good and worker.neutral is not still and not worker.calibrating
+    assert worker.first.quality.good and worker.first.neutral is not still and not worker.first.calibrating
     rng = np.random.default_rng(1)
     shaken = make_take(take.shape[:30] + rng.normal(0.0, 0.05, take.shape[:30].shape))
     restless = LiveWorker(Listed(frames_of(shaken)), neutral=still)
     restless.calibrate()
-    assert "moved" in run(restless).quality.message
+    assert "moved" in run(restless).first.quality.message
 
 
 def test_a_calibration_with_a_held_expression_asks_for_a_relaxed_face():
@@ -205,17 +205,17 @@ def test_a_calibration_with_a_held_expression_asks_for_a_relaxed_face():
     opened = neutral.shape + space.units[np.argmax(space.amount(np.eye(len(space.units))))]
     held = LiveWorker(Listed(frames_of(make_take(np.array([opened] * 40)))), neutral=neutral)
     held.calibrate()
-    assert "expression" in run(held).quality.message
+    assert "expression" in run(held).first.quality.message
 
 
 def test_calibration_without_a_face_is_reported_and_keeps_the_neutral_face():
     take = performance()
     blind = make_take(take.shape[:40], found=np.zeros(40, bool))
     worker = LiveWorker(Listed(frames_of(blind)), neutral=calibrate(take))
-    before = worker.neutral
+    before = worker.first.neutral
     worker.calibrate()
     run(worker)
-    assert not worker.quality.good and worker.neutral is before
+    assert not worker.first.quality.good and worker.first.neutral is before
 
 
 def test_the_range_of_eyes_and_mouth_is_learnt_and_missing_parts_are_requested():
@@ -305,13 +305,13 @@ def blinks(count: int = 240):
 def test_where_eyes_are_shut_is_learnt_in_a_live_session_unless_turned_off(wanted):
     options = LiveOptions(smoothing=0.0, learn=wanted)
     worker = run(LiveWorker(Listed(frames_of(blinks())), heads=(LiveHead(built_in_head()),), options=options))
-    assert (worker.neutral.shut > 0.1) == wanted and (worker.learnt is worker.neutral) == wanted
+    assert (worker.first.neutral.shut > 0.1) == wanted and (worker.first.learnt is worker.first.neutral) == wanted
 
 
 def test_a_take_is_shown_with_the_neutral_face_it_began_with():
     source = TakePlayer(blinks(), "take")
     source.pace = EagerClock()
-    assert run(LiveWorker(source, options=LiveOptions(smoothing=0.0))).neutral.shut == 0.0
+    assert run(LiveWorker(source, options=LiveOptions(smoothing=0.0))).first.neutral.shut == 0.0
 
 
 def test_the_learnt_neutral_face_is_forgotten_on_request():
@@ -319,4 +319,4 @@ def test_the_learnt_neutral_face_is_forgotten_on_request():
     worker = LiveWorker(Listed(frames_of(take)), neutral=asked, options=LiveOptions(smoothing=0.0))
     worker.forget()
     run(worker)
-    assert not worker.neutral.asked and worker.neutral.shut == pytest.approx(0.2, abs=0.05)
+    assert not worker.first.neutral.asked and worker.first.neutral.shut == pytest.approx(0.2, abs=0.05)

@@ -14,8 +14,7 @@ from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
 from facemime.core.drive.drive_settings import DriveSettings
-from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import HeadDriver, drive_take
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
 from facemime.core.heads.regions import LOWER, MIDDLE, membership, sharp_regions

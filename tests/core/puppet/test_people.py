@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from facemime.core.files.capture import read_image
 from facemime.core.heads.rig import built_in_head
 from facemime.core.puppet.casting import Casting
-from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.sources import LiveFrame
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.tracking.tracker import FaceTracker

@@ -46,7 +46,7 @@ def test_frames_come_out_evenly_and_all_of_them_despite_jitter():
     playout = Playout(DELAY)
     shown = played(Link().deliver(sent(10.0), 1), playout, 11.0)
     real = [(now, frame) for now, frame in shown if not frame.predicted]
-    assert len(real) == 300 and playout.late == playout.doubled == playout.lost == 0
+    assert len(real) == 300 and playout.counts.late == playout.counts.doubled == playout.counts.lost == 0
     assert [frame.time for _, frame in real] == sorted(frame.time for _, frame in real)
     waits = np.diff([now for now, _ in real])[30:]
     assert np.abs(waits - 1.0 / RATE).max() < 0.006
@@ -63,7 +63,7 @@ def test_duplicate_and_late_packets_are_dropped_and_counted():
     shown = played(Link(0.02, 0.1, double=0.3).deliver(sent(10.0), 3), playout, 11.0)
     times = [frame.time for _, frame in shown if not frame.predicted]
     assert len(set(times)) == len(times) and times == sorted(times)
-    assert playout.doubled + playout.late > 30
+    assert playout.counts.doubled + playout.counts.late > 30
 
 
 def test_reordered_packets_come_out_in_order():
@@ -111,7 +111,7 @@ def test_no_frame_counts_as_lost_if_a_sender_without_numbers_becomes_slower():
             playout.push(result, time, at + 0.02)
             while playout.pop(at + 0.02) is not None:
                 pass
-    assert playout.lost == 0 and playout.due() is not None
+    assert playout.counts.lost == 0 and playout.due() is not None
 
 
 def test_missing_frames_are_counted_and_predicted_but_never_more_than_two_in_a_row():
@@ -121,7 +121,7 @@ def test_missing_frames_are_counted_and_predicted_but_never_more_than_two_in_a_r
     shown = played([(at + 0.02, packet) for at, packet in kept], playout, 5.0)
     flags = "".join("p" if frame.predicted else "-" for _, frame in shown)
     assert "p" in flags and "ppp" not in flags
-    assert playout.lost == sum(number % 10 == 5 or 60 <= number < 90 for number in range(120))
+    assert playout.counts.lost == sum(number % 10 == 5 or 60 <= number < 90 for number in range(120))
     errors = [
         np.abs(frame.result.shape - frames[round((frame.time - 1000.0) * RATE)][1][1].shape).max()
         for _, frame in shown

@@ -17,7 +17,7 @@ from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import SourceError
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, N_COEFFICIENTS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.puppet.head_drivers import LiveHead
+from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.sources import LiveFrame
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.streams.playout import EASE, HOLD
@@ -153,7 +153,7 @@ def test_a_puppet_returns_to_rest_in_the_worker_without_recording_it(opened):
         ):
             time.sleep(0.05)
             assert time.monotonic() - began < PATIENCE
-        assert worker.neutral.measured
+        assert worker.first.neutral.measured
         vertices = worker.latest.heads[0].vertices
         assert np.abs(vertices - built_in_head().all_vertices).max() < 1e-4
         assert Recorder.times == sorted(set(Recorder.times))

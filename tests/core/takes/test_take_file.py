@@ -19,8 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import facemime
-from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import HeadDriver, drive_take
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.face.landmarks import OUTER_EYE_CORNERS
 from facemime.core.face.names import N_ACTIONS

@@ -17,8 +17,8 @@ from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.heads.rig import built_in_head, neck_of
-from facemime.core.puppet.head_drivers import KeyDriver, LiveKeys
-from facemime.core.puppet.performance import Performance
+from facemime.core.puppet.outputs import KeyDriver, LiveKeys
+from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.measured import FacePoints, PointTracker, describe_animation, fit_rigid

@@ -10,8 +10,7 @@ import pytest
 from scipy import signal
 
 import facemime
-from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import HeadDriver, drive_take
 from facemime.core.drive.retarget import anonymise
 from facemime.core.errors import FacemimeError, SourceError
 from facemime.core.face.landmarks import OUTER_EYE_CORNERS, mouth_aperture

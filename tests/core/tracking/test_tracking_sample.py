@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from facemime.core.bake.arkit import arkit_coefficients
-from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import HeadDriver, drive_take
 from facemime.core.face.landmarks import INNER
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, FITTED
 from facemime.core.face.rotation import euler_to_matrix

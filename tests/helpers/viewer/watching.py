@@ -13,7 +13,7 @@ from facemime.core.drive.driver import HeadDriver, HeadFrame
 from facemime.core.face.names import COEFFICIENT_INDEX, N_ACTIONS, N_COEFFICIENTS
 from facemime.core.heads.appearance import Appearance, Material, Patch, built_in_appearance
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.puppet.head_drivers import KeyDriver
+from facemime.core.puppet.outputs import KeyDriver
 from facemime.core.takes.measured import coefficient_face
 from facemime.core.tracking.result import TrackResult
 from facemime.core.viewer.server import ViewerServer
