@@ -22,10 +22,10 @@ from typing import Any
 import numpy as np
 
 from facemime.core.drive import retarget
-from facemime.core.drive.motion import drive_take
+from facemime.core.drive.driver import drive_take
 from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, outer_eye_distance
 from facemime.core.heads.rig import HeadRig, built_in_head
-from facemime.core.puppet.performance import Performance
+from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes import neutral
 from facemime.core.takes.face_space import load_face_space, without_similarity
