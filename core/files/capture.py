@@ -191,10 +191,10 @@ class PictureSource(Closing):
 
 def pictures_in(folder: Path) -> list[Path]:
     """Return the pictures in a folder by name, numbers in their order; SourceError if it cannot be read."""
+    if not os.path.isdir(folder):
+        raise SourceError("There is no folder {folder}. Choose the folder with the images.", folder=folder)
     try:
         pictures = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise SourceError("There is no folder {folder}. Choose the folder with the images.", folder=folder) from error
     except OSError as error:
         raise SourceError(
             "The folder {folder} cannot be read: {error}. Change its permissions.",

@@ -25,10 +25,10 @@ from ..tracking.people import PeopleTracker
 from ..tracking.result import TrackResult
 from ..tracking.tracker import FaceTracker
 from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
-from .casting import Casting
 from .outputs import Display, HeadDrivers, LiveHead, Output, Recorder
 from .performer import Performer
 from .puppet_settings import PuppetSettings
+from .roles import PeopleRoles
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1
@@ -182,7 +182,7 @@ class LiveWorker:
         self._face: tuple[float, float] | None = None
         self._next_face = False
         self._people: PeopleTracker | None = None
-        self._casting = Casting()
+        self._roles = PeopleRoles()
         self.model = ""
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._work, name="facemime-live", daemon=True)
@@ -355,9 +355,9 @@ class LiveWorker:
         tracker.settings = self.options.tracking
         if self._people is None or frame.image.shape != self._size:
             tracker.reset()
-            self._people, self._casting, self._size = PeopleTracker(tracker), Casting(), frame.image.shape
+            self._people, self._roles, self._size = PeopleTracker(tracker), PeopleRoles(), frame.image.shape
         results = self._people.track(frame.image)
-        cast = self._casting.cast(wanted, results, frame.time)
+        cast = self._roles.assign(wanted, results, frame.time)
         nothing = TrackResult.nothing(tracker.pdm.n_modes)
         faces = [
             (

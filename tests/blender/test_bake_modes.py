@@ -36,8 +36,8 @@ def _at_the_takes_rate(_empty_file):
 
 
 def bake(head: bpy.types.Object, targets=None, **options) -> PuppetReport:
-    """Bake the performance."""
-    settings = PuppetSettings(bake=BakeSettings(**options), translation=True)
+    """Bake the performance, relative to its first second, in which it rests."""
+    settings = PuppetSettings(bake=BakeSettings(**options), translation=True, neutral=0.0)
     return puppet_head(bpy.context.scene, head, performance(), settings, targets)
 
 

@@ -180,7 +180,7 @@ def test_tracked_faces_are_sent_while_the_puppet_runs(take):
         frames = [LiveLinkDecoder().decode(unreal.recv(4096))[0] for _ in range(30)]
         bpy.ops.facemime.stop_puppet()
     assert {frame.subject for frame in frames} == {"Ada"}
-    assert max(frame.face.coefficients[COEFFICIENT_INDEX["jawOpen"]] for frame in frames if frame.face) > 0.1
+    assert max(frame.face.coefficients[COEFFICIENT_INDEX["jawOpen"]] for frame in frames if frame.face) > 0.05
 
 
 @pytest.mark.parametrize(

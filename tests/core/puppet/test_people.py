@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from facemime.core.files.capture import read_image
 from facemime.core.heads.rig import built_in_head
-from facemime.core.puppet.casting import Casting
 from facemime.core.puppet.outputs import LiveHead
+from facemime.core.puppet.roles import PeopleRoles
 from facemime.core.puppet.sources import LiveFrame
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.tracking.tracker import FaceTracker
@@ -82,9 +82,9 @@ def test_a_head_whose_person_is_out_of_view_keeps_its_last_frame(couple):
 
 @given(st.lists(st.tuples(st.lists(st.integers(0, 3), min_size=1, max_size=4), st.sets(st.integers(0, 3)))))
 def test_no_head_is_driven_by_two_people_and_chosen_ones_keep_their_head(moments):
-    casting = Casting()
+    roles = PeopleRoles()
     for time, (wanted, in_view) in enumerate(moments):
-        heads = casting.cast(wanted, in_view, float(time))
+        heads = roles.assign(wanted, in_view, float(time))
         driven = [head for own in heads.values() for head in own]
         assert len(driven) == len(set(driven)) and all(head < len(wanted) for head in driven)
         for head, person in enumerate(wanted):
@@ -92,8 +92,8 @@ def test_no_head_is_driven_by_two_people_and_chosen_ones_keep_their_head(moments
 
 
 def test_a_head_waits_for_its_person_before_somebody_else_drives_it():
-    casting = Casting()
-    assert casting.cast((0,), {0}, 0.0) == {0: (0,)}
-    assert casting.cast((0,), {1}, 3.0) == {0: (0,)}
-    assert casting.cast((0,), {1}, 6.0) == {1: (0,)}
-    assert casting.cast((0,), {0, 1}, 6.1) == {1: (0,)}
+    roles = PeopleRoles()
+    assert roles.assign((0,), {0}, 0.0) == {0: (0,)}
+    assert roles.assign((0,), {1}, 3.0) == {0: (0,)}
+    assert roles.assign((0,), {1}, 6.0) == {1: (0,)}
+    assert roles.assign((0,), {0, 1}, 6.1) == {1: (0,)}

@@ -8,16 +8,16 @@ _AWAITED = 5.0
 """Seconds for which a head waits for its person before somebody else may drive it."""
 
 
-class Casting:
+class PeopleRoles:
     """Assigns people to heads: those that were chosen, and otherwise whoever appears first and drives no head yet.
 
     Examples
     --------
-    >>> from facemime.core.puppet.casting import Casting
-    >>> casting = Casting()
-    >>> casting.cast((0, 0), {0}, 0.0), casting.cast((0, 0), {0, 1}, 0.1)
+    >>> from facemime.core.puppet.roles import PeopleRoles
+    >>> roles = PeopleRoles()
+    >>> roles.assign((0, 0), {0}, 0.0), roles.assign((0, 0), {0, 1}, 0.1)
     ({0: (0,)}, {0: (0,), 1: (1,)})
-    >>> casting.cast((2, 0), {0, 1}, 0.2)  # the first head follows the second person
+    >>> roles.assign((2, 0), {0, 1}, 0.2)  # the first head follows the second person
     {1: (0,), 0: (1,)}
     """
 
@@ -25,7 +25,7 @@ class Casting:
         self._roles: dict[int, int] = {}
         self._seen: dict[int, float] = {}
 
-    def cast(self, wanted: Sequence[int], in_view: Collection[int], time: float) -> dict[int, tuple[int, ...]]:
+    def assign(self, wanted: Sequence[int], in_view: Collection[int], time: float) -> dict[int, tuple[int, ...]]:
         """Assign the people in view.
 
         Parameters
