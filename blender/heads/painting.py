@@ -8,6 +8,7 @@ from ...core.errors import HeadError
 from ...core.heads.regions import Side, hold_landmarks, mirror_regions, own_weights, smooth_regions
 from ..meshes import mesh_of, read_faces, read_landmarks, read_regions, read_vertices, require_own, write_regions
 from ..names import REGION_GROUPS
+from ..view_layers import select_alone
 
 _BRUSH = "Facemime Paint"
 _FULL = 0.99
@@ -33,6 +34,10 @@ def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int)
     name = REGION_GROUPS[region]
     group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
     obj.vertex_groups.active_index = group.index
+    if context.object is not obj:  # the armature of the character, for instance, may be active and in Pose Mode
+        if context.mode != "OBJECT":
+            bpy.ops.object.mode_set(mode="OBJECT")
+        select_alone(context, obj)
     if context.mode != "PAINT_WEIGHT":
         bpy.ops.object.mode_set(mode="WEIGHT_PAINT")
     _ensure_brush(context)

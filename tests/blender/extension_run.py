@@ -89,7 +89,7 @@ def send_across_networks(bpy) -> int:
     import Cryptodome
 
     assert Path(Cryptodome.__file__).is_relative_to(os.environ["BLENDER_USER_RESOURCES"]), Cryptodome.__file__
-    pairing = importlib.import_module(f"{streams}.transport.pairing").parse_pairing(line)
+    pairing = importlib.import_module(f"{streams}.transport.addresses").parse_pairing(line)
     settings = importlib.import_module(f"{streams}.stream_settings").StreamSettings(pairing=pairing)
     source = importlib.import_module(f"{streams}.source").StreamSource(settings, every=True)
     face = importlib.import_module(f"{MODULE}.core.takes.measured").coefficient_face()

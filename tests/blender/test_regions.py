@@ -10,6 +10,7 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.heads.painting import paint_region
 from facemime.blender.meshes import read_landmarks, read_regions, write_landmarks, write_regions
 from facemime.blender.names import REGION_GROUPS
+from facemime.blender.view_layers import select_alone
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import from_ibug
 from facemime.ui import overlays
@@ -34,6 +35,18 @@ def test_painting_creates_a_missing_group():
     head.vertex_groups.remove(head.vertex_groups[REGION_GROUPS[1]])
     assert bpy.ops.facemime.paint_region(region="MIDDLE") == {"FINISHED"}
     assert head.vertex_groups.active.name == REGION_GROUPS[1]
+
+
+def test_painting_begins_from_the_armature_of_the_character_even_in_pose_mode():
+    head = add_head(bpy.context)
+    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.scene.collection.objects.link(rig)
+    head.parent = rig
+    head.modifiers.new("Armature", "ARMATURE").object = rig
+    select_alone(bpy.context, rig)
+    bpy.ops.object.mode_set(mode="POSE")
+    assert bpy.ops.facemime.paint_region(region="LOWER") == {"FINISHED"}
+    assert bpy.context.mode == "PAINT_WEIGHT" and bpy.context.object == head
 
 
 def test_mirroring_regions_can_be_undone():
