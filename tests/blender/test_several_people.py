@@ -12,7 +12,10 @@ from facemime.core.files.capture import read_image
 from facemime.core.tracking.tracker import FaceTracker
 from facemime.operators.puppet import running
 from facemime.settings import takes_store
+from facemime.ui.puppet import FACEMIME_PT_puppet
+from facemime.ui.source import FACEMIME_PT_source
 from tests.helpers.live_ticks import start, ticks_until
+from tests.helpers.panels import draw
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 PORTRAITS = Path(__file__).parents[1] / "data" / "portraits"
@@ -57,6 +60,18 @@ def test_two_heads_follow_two_people_and_can_change_places(heads):
     first.facemime.person = 0
     bpy.context.scene.facemime.source.face = "LARGEST"
     ticks_until(lambda: not running().shown.people)
+    bpy.ops.facemime.stop_puppet()
+
+
+def test_the_panels_list_who_is_in_view_and_who_drives_each_head(heads):
+    assert draw(FACEMIME_PT_source).count("person") == 2
+    start()
+    ticks_until(lambda: running().shown is not None and len(running().shown.people) == 2)
+    shown = draw(FACEMIME_PT_puppet)
+    for number, head in enumerate(running().heads, start=1):
+        assert f"Person {number}: {head.obj.name}" in shown
+    bpy.context.scene.facemime.source.face = "LARGEST"
+    assert "person" not in draw(FACEMIME_PT_source)
     bpy.ops.facemime.stop_puppet()
 
 
