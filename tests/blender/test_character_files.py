@@ -326,7 +326,8 @@ def test_an_avatar_has_a_shape_key_for_each_of_its_expressions(tmp_path, version
 def test_an_avatar_is_driven_by_its_own_expressions(tmp_path, version):
     avatar(tmp_path / "a.vrm", version=version)
     save_take(performance(), tmp_path / "take.facetake")
-    done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--head", tmp_path / "a.vrm")
+    files = (tmp_path / "take.facetake", "-o", tmp_path / "out.blend", "--head", tmp_path / "a.vrm")
+    done = run("puppet", *files, "--neutral", "0")
     assert done.returncode == 0, done.stderr
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
     keys = next(obj.data.shape_keys for obj in bpy.data.objects if obj.type == "MESH" and obj.data.shape_keys)
