@@ -253,7 +253,7 @@ def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_pat
         (("track", tmp_path / "none.mp4", "-o", good), "There is no file"),
         (("track", tmp_path / "text.mp4", "-o", good), "cannot be read as a video"),
         (("track", tmp_path / "empty.mp4", "-o", good), "cannot be read as a video"),
-        (("track", tmp_path, "-o", good), "not a file"),
+        (("track", tmp_path, "-o", good), "no images"),
         (("track", faceless, "-o", good), "No face was found"),
         (("track", clip, "-o", "/proc/take.facetake"), "Cannot write"),
         (("landmarks", tmp_path / "none", "-o", tmp_path / "o.npz"), "There is no file"),
