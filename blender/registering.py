@@ -1,11 +1,10 @@
 """Registration of a module's classes, properties, handlers and timers with Blender.
 
-The classes that a module defines are registered in their order, then `CLASSES`, which it makes in another way. An
-operator is called as its class: `FACEMIME_OT_puppet` is `facemime.puppet`. A module declares the rest by name:
-`POINTERS` are (Blender type, name, property group); `HANDLERS` maps names in `bpy.app.handlers` to functions, which
-stay there when a file is loaded; `OVERLAYS` maps functions that draw in all 3D Viewports to the moment when they do;
-`TIMERS` are functions that `watch` may have started. For anything else a module defines `register`, which is called
-last, and `unregister`, which is called first.
+The classes that a module defines are registered in their order, then `CLASSES`, which it makes in another way. A module
+declares the rest by name: `POINTERS` are (Blender type, name, property group); `HANDLERS` maps names in
+`bpy.app.handlers` to functions, which stay there when a file is loaded; `OVERLAYS` maps functions that draw in all 3D
+Viewports to the moment when they do; `TIMERS` are functions that `watch` may have started. For anything else a module
+defines `register`, which is called last, and `unregister`, which is called first.
 """
 
 from collections.abc import Callable
@@ -24,8 +23,6 @@ _overlays: dict[Callable[[], None], object] = {}
 def register_module(module: ModuleType) -> None:
     """Register a module with Blender."""
     for cls in classes_of(module):
-        if issubclass(cls, bpy.types.Operator):
-            cls.bl_idname = f"facemime.{cls.__name__.removeprefix('FACEMIME_OT_')}"
         _translate_in_context(cls)
         bpy.utils.register_class(cls)
     for owner, name, group in getattr(module, "POINTERS", ()):

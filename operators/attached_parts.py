@@ -120,6 +120,7 @@ CLASSES = tuple(
         (_FinishesParts, bpy.types.Operator),
         {
             "__doc__": "Let the parts of heads follow what was done to the heads",
+            "bl_idname": f"facemime.finish_parts_{number}",
             "bl_options": {"INTERNAL", "UNDO_GROUPED"},
             "bl_undo_group": step,
         },

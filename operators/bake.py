@@ -42,6 +42,7 @@ from .takes import OnTake, require_take
 class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
     """Bake the selected take to the active head and all other selected heads"""
 
+    bl_idname = "facemime.bake_take"
     bl_label = "Bake Take"
     needs = (require_object_mode, require_heads, require_take)
 
@@ -67,6 +68,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
     """Mute actions and NLA tracks that move the character's shape keys in addition to the bake"""
 
+    bl_idname = "facemime.mute_others"
     bl_label = "Mute Other Animation"
 
     needs_landmarks = False
@@ -80,6 +82,7 @@ class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
     """Fill the key mapping from the preset that best fits the names of the head's shape keys"""
 
+    bl_idname = "facemime.detect_key_map"
     bl_label = "Detect Mapping"
 
     needs_landmarks = False
@@ -101,6 +104,7 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
 class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
     """Add a row to the key mapping"""
 
+    bl_idname = "facemime.add_key_row"
     bl_label = "Add Row"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -113,6 +117,7 @@ class FACEMIME_OT_add_key_row(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
     """Remove the selected row from the key mapping"""
 
+    bl_idname = "facemime.remove_key_row"
     bl_label = "Remove Row"
 
     @classmethod
@@ -131,6 +136,7 @@ class FACEMIME_OT_remove_key_row(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
     """Import a key mapping from a file"""
 
+    bl_idname = "facemime.import_key_map"
     bl_label = "Import Mapping"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
@@ -143,6 +149,7 @@ class FACEMIME_OT_import_key_map(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
     """Export the key mapping to a file"""
 
+    bl_idname = "facemime.export_key_map"
     bl_label = "Export Mapping"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
@@ -156,6 +163,7 @@ class FACEMIME_OT_export_key_map(AsksForFileToWrite, bpy.types.Operator):
 class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
     """Add the current values of the head's shape keys as the pose that the take should give at the current frame"""
 
+    bl_idname = "facemime.add_key_pose"
     bl_label = "Add Pose"
 
     @classmethod
@@ -178,6 +186,7 @@ class FACEMIME_OT_add_key_pose(OnTake, bpy.types.Operator):
 class FACEMIME_OT_learn_key_map(ReportsErrors, bpy.types.Operator):
     """Adjust the gains of the key mapping to reproduce the added poses; the rest is left unchanged"""
 
+    bl_idname = "facemime.learn_key_map"
     bl_label = "Learn from Poses"
 
     @classmethod
@@ -242,6 +251,7 @@ class _OnTakesVideo(AsksForFile, OnTake):
 class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
     """Add the sound of the take's video, or a sound file next to it, to the Sequencer in sync with the take"""
 
+    bl_idname = "facemime.add_sound"
     bl_label = "Add Sound"
 
     filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
@@ -259,6 +269,7 @@ class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
 class FACEMIME_OT_add_reference(_OnTakesVideo, bpy.types.Operator):
     """Show the take's video next to the active head, in sync with the take"""
 
+    bl_idname = "facemime.add_reference"
     bl_label = "Add Reference"
     needs = (require_heads, require_take)
 

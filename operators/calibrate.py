@@ -26,6 +26,7 @@ _POSES = (
 class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
     """Calibrate to the performer's face after a countdown"""
 
+    bl_idname = "facemime.calibrate"
     bl_label = "Calibrate"
     bl_options = {"REGISTER"}
     needs = (require_puppet,)
@@ -46,6 +47,7 @@ class FACEMIME_OT_calibrate(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
     """Remove the calibration of the selected performer, and everything learnt about them"""
 
+    bl_idname = "facemime.reset_calibration"
     bl_label = "Reset Calibration"
 
     @classmethod
@@ -65,6 +67,7 @@ class FACEMIME_OT_reset_calibration(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_add_performer(bpy.types.Operator):
     """Add a performer with a separate calibration"""
 
+    bl_idname = "facemime.add_performer"
     bl_label = "Add Performer"
     bl_options = {"REGISTER", "UNDO"}
 
@@ -79,6 +82,7 @@ class FACEMIME_OT_add_performer(bpy.types.Operator):
 class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
     """Remove the selected performer and their calibration"""
 
+    bl_idname = "facemime.remove_performer"
     bl_label = "Remove Performer"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -89,6 +93,7 @@ class FACEMIME_OT_remove_performer(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_clear_calibrations(ReportsErrors, bpy.types.Operator):
     """Remove the faces of all performers from the .blend file; they are kept until Blender quits"""
 
+    bl_idname = "facemime.clear_calibrations"
     bl_label = "Remove Faces from File"
 
     @classmethod

@@ -70,6 +70,7 @@ class _SelectsPoints(OnMesh):
 class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.Operator):
     """Select the landmarks that control the active head in a take; the others follow them"""
 
+    bl_idname = "facemime.select_control_points"
     bl_label = "Select Control Points"
 
     take: IntProperty(
@@ -94,6 +95,7 @@ class FACEMIME_OT_select_control_points(AsksForFile, _SelectsPoints, bpy.types.O
 class FACEMIME_OT_select_live_points(_SelectsPoints, bpy.types.Operator):
     """Select the control points from the last seconds of the puppet; make varied expressions for a few seconds first"""
 
+    bl_idname = "facemime.select_live_points"
     bl_label = "Select from Live"
     needs = (require_puppet, require_mesh)
 
@@ -118,6 +120,7 @@ class _OnLandmark(OnHead):
 class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
     """Make the selected landmark a control point"""
 
+    bl_idname = "facemime.add_control_point"
     bl_label = "Add Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -131,6 +134,7 @@ class FACEMIME_OT_add_control_point(_OnLandmark, bpy.types.Operator):
 class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
     """Remove the selected landmark from the control points, so that it follows the others"""
 
+    bl_idname = "facemime.drop_control_point"
     bl_label = "Remove Control Point"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -141,6 +145,7 @@ class FACEMIME_OT_drop_control_point(_OnLandmark, bpy.types.Operator):
 class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
     """Select a landmark by clicking on the head"""
 
+    bl_idname = "facemime.pick_landmark"
     bl_label = "Pick on Head"
     bl_options = {"REGISTER"}
 
@@ -195,6 +200,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
 class FACEMIME_OT_use_all_landmarks(OnMesh, bpy.types.Operator):
     """Make all 66 landmarks control points of the active head"""
 
+    bl_idname = "facemime.use_all_landmarks"
     bl_label = "Use All Landmarks"
 
     def work(self, context: bpy.types.Context) -> None:

@@ -26,6 +26,7 @@ from .steps import WorksInSteps
 class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     """Add a head that is ready to be driven, with landmarks, regions, eyes, teeth and a tongue"""
 
+    bl_idname = "facemime.add_head"
     bl_label = "Facemime Head"
     needs = (require_object_mode,)
 
@@ -79,6 +80,7 @@ def _frame_selected(context: bpy.types.Context) -> None:
 class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
     """Import a FaceGen head: a .tri file with its morphs and the .egm file next to it, or an OBJ file"""
 
+    bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
     needs = (require_object_mode,)
 
@@ -95,6 +97,7 @@ class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):
     """Export the selected heads as glTF, with parts, bones, shape keys, and the frame range as one animation"""
 
+    bl_idname = "facemime.export_gltf"
     bl_label = "Export glTF"
     needs = (require_object_mode, require_no_session, require_heads)
 

@@ -93,6 +93,7 @@ def _turn_to_face(context: bpy.types.Context) -> bool:
 class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
     """Mark the vertex selected in Edit Mode as a point of the face; mark at least four points, then use Find Face"""
 
+    bl_idname = "facemime.mark_point"
     bl_label = "Mark Point"
 
     point: EnumProperty(
@@ -109,6 +110,7 @@ class FACEMIME_OT_mark_point(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
     """Clear all marked points"""
 
+    bl_idname = "facemime.clear_marks"
     bl_label = "Clear Marks"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -118,6 +120,7 @@ class FACEMIME_OT_clear_marks(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_bind_keys(OnCharacter, bpy.types.Operator):
     """Drive the character by its existing shape keys, such as ARKit's or VRM's, without landmarks"""
 
+    bl_idname = "facemime.bind_keys"
     bl_label = "Use Its Shape Keys"
     needs = (require_object_mode, require_character)
 
@@ -134,6 +137,7 @@ class FACEMIME_OT_bind_keys(OnCharacter, bpy.types.Operator):
 class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):
     """Find the face of the selected character, and create its regions; without marks, it may face along any axis"""
 
+    bl_idname = "facemime.bind_landmarks"
     bl_label = "Find Face"
     needs = (require_object_mode, require_character)
 
@@ -175,6 +179,7 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):
 class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
     """Move one landmark to the vertex selected in Edit Mode"""
 
+    bl_idname = "facemime.set_landmark"
     bl_label = "Set Landmark"
 
     number: IntProperty(name="Landmark", description="iBUG number of the landmark, except 60 and 64", min=0, max=67)
@@ -189,6 +194,7 @@ class FACEMIME_OT_set_landmark(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
     """Replace the three regions with weights derived from the landmarks and the openings of the eyes and mouth"""
 
+    bl_idname = "facemime.propose_regions"
     bl_label = "Reset Regions"
     needs = (require_left_edit_mode, require_mesh)
 
@@ -199,6 +205,7 @@ class FACEMIME_OT_propose_regions(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
     """Check this head for problems, and list its parts and bones"""
 
+    bl_idname = "facemime.check_head"
     bl_label = "Check Head"
     bl_options = {"REGISTER"}
 
@@ -212,6 +219,7 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
     """Cut the mesh between joined lips, such as those of a scan, so that the mouth can open"""
 
+    bl_idname = "facemime.open_lips"
     bl_label = "Open Lips"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -223,6 +231,7 @@ class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
 class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     """Cut the mesh along eyelids that are joined to the eyes, such as those of a scan, so that they can close"""
 
+    bl_idname = "facemime.open_eyes"
     bl_label = "Open Eyes"
 
     def work(self, context: bpy.types.Context) -> None:

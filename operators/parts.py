@@ -48,6 +48,7 @@ _bone_items: list[tuple[str, str, str]] = []
 class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
     """Assign an object, or the selected vertices in Edit Mode, to a part of the character"""
 
+    bl_idname = "facemime.set_part"
     bl_label = "Set Part"
 
     part: EnumProperty(name="Part", items=_ITEMS)
@@ -86,6 +87,7 @@ class FACEMIME_OT_set_part(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
     """Add the other selected meshes to the character of the active head"""
 
+    bl_idname = "facemime.add_part"
     bl_label = "Add Selected"
 
     part: EnumProperty(name="Part", items=_ITEMS[1:])
@@ -104,6 +106,7 @@ class FACEMIME_OT_add_part(OnHead, bpy.types.Operator):
 class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
     """Remove an object from the character, so that the performance does not move it"""
 
+    bl_idname = "facemime.remove_part"
     bl_label = "Remove from Character"
 
     name: StringProperty(name="Object", options={"SKIP_SAVE"})
@@ -120,6 +123,7 @@ class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):
     """Sort the meshes of the character into parts again, find its bones, and create its regions"""
 
+    bl_idname = "facemime.find_parts"
     bl_label = "Find Parts"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -140,6 +144,7 @@ def _items_of_bones(operator: bpy.types.Operator, context: bpy.types.Context | N
 class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
     """Choose the bone that follows the pose of the head or the gaze of an eye"""
 
+    bl_idname = "facemime.set_bone"
     bl_label = "Set Bone"
     bl_property = "bone"
 
@@ -166,6 +171,7 @@ class FACEMIME_OT_set_bone(OnHead, bpy.types.Operator):
 class FACEMIME_OT_make_expression_keys(WorksInSteps, OnHead, bpy.types.Operator):
     """Add a set of shape keys, such as ARKit's, to all meshes of the face; existing keys are kept"""
 
+    bl_idname = "facemime.make_expression_keys"
     bl_label = "Make Expression Keys"
     needs = (require_object_mode, require_mesh)
 
@@ -207,6 +213,7 @@ class FACEMIME_OT_make_expression_keys(WorksInSteps, OnHead, bpy.types.Operator)
 class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
     """Paint the weights of this region on the active head"""
 
+    bl_idname = "facemime.paint_region"
     bl_label = "Paint Region"
 
     region: EnumProperty(
@@ -225,6 +232,7 @@ class FACEMIME_OT_paint_region(OnHead, bpy.types.Operator):
 class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
     """Return to Object Mode"""
 
+    bl_idname = "facemime.leave_painting"
     bl_label = "Finish Painting"
 
     @classmethod
@@ -240,6 +248,7 @@ class FACEMIME_OT_leave_painting(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
     """Mirror the regions of one half of the face to the other"""
 
+    bl_idname = "facemime.mirror_regions"
     bl_label = "Mirror Regions"
 
     source: EnumProperty(
@@ -255,6 +264,7 @@ class FACEMIME_OT_mirror_regions(OnHead, bpy.types.Operator):
 class FACEMIME_OT_smooth_regions(OnHead, bpy.types.Operator):
     """Smooth the borders of the regions, except between the lips and between the eyelids"""
 
+    bl_idname = "facemime.smooth_regions"
     bl_label = "Smooth Borders"
 
     repeat: IntProperty(name="Repeat", default=3, min=1, max=50)

@@ -162,6 +162,7 @@ def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: View
 class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
     """Drag landmarks to their places on the head; Enter accepts, Esc discards"""
 
+    bl_idname = "facemime.adjust_landmarks"
     bl_label = "Adjust Landmarks"
 
     def begin(self, obj: bpy.types.Object) -> Placing:
@@ -200,6 +201,7 @@ class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
 class FACEMIME_OT_mark_face(_PlacesPoints, OnMesh, bpy.types.Operator):
     """Click the requested points of the face one by one, then find the face from them"""
 
+    bl_idname = "facemime.mark_face"
     bl_label = "Mark Face"
 
     points: StringProperty(name="Points", description="Points to ask for, by iBUG number; empty for all")
@@ -268,6 +270,7 @@ class _EndsPlacing(ReportsErrors):
 class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
     """Keep the points as they are now"""
 
+    bl_idname = "facemime.accept_points"
     bl_label = "Accept"
 
     def end(self, placing: Placing) -> None:
@@ -277,6 +280,7 @@ class FACEMIME_OT_accept_points(_EndsPlacing, bpy.types.Operator):
 class FACEMIME_OT_discard_points(_EndsPlacing, bpy.types.Operator):
     """Move the points back to where they were"""
 
+    bl_idname = "facemime.discard_points"
     bl_label = "Discard"
 
     def end(self, placing: Placing) -> None:

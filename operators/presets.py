@@ -12,6 +12,7 @@ from .shared import AsksForFile, AsksForFileToWrite, ReportsErrors
 class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
     """Save strength, smoothing and limits as a preset"""
 
+    bl_idname = "facemime.save_preset"
     bl_label = "Save Preset"
     bl_options = {"REGISTER"}
 
@@ -29,6 +30,7 @@ class FACEMIME_OT_save_preset(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
     """Set strength, smoothing and limits from this preset"""
 
+    bl_idname = "facemime.load_preset"
     bl_label = "Load Preset"
 
     name: StringProperty(name="Name")
@@ -43,6 +45,7 @@ class FACEMIME_OT_load_preset(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
     """Remove this preset"""
 
+    bl_idname = "facemime.remove_preset"
     bl_label = "Remove Preset"
     bl_options = {"REGISTER"}
 
@@ -60,6 +63,7 @@ class FACEMIME_OT_remove_preset(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
     """Set strength, smoothing and limits from a file, and add it to your presets"""
 
+    bl_idname = "facemime.import_preset"
     bl_label = "Import Preset"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})
@@ -75,6 +79,7 @@ class FACEMIME_OT_import_preset(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_preset(AsksForFileToWrite, bpy.types.Operator):
     """Export strength, smoothing and limits to a file"""
 
+    bl_idname = "facemime.export_preset"
     bl_label = "Export Preset"
 
     filter_glob: StringProperty(default="*.json", options={"HIDDEN"})

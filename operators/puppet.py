@@ -22,6 +22,7 @@ _STATUS_INTERVAL = 0.25
 class FACEMIME_OT_choose_camera(bpy.types.Operator):
     """Use this camera and save it in the preferences"""
 
+    bl_idname = "facemime.choose_camera"
     bl_label = "Choose Camera"
     bl_options = {"INTERNAL"}
 
@@ -68,6 +69,7 @@ def start_puppet() -> None:
 class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     """Drive the active head and all other selected heads with the face in the source; Esc in the viewport stops it"""
 
+    bl_idname = "facemime.puppet"
     bl_label = "Start Puppet"
     bl_options = {"REGISTER"}
     needs = (require_no_session, require_left_edit_mode, require_heads)
@@ -190,6 +192,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_stop_puppet(bpy.types.Operator):
     """Stop the puppet; the heads return to rest, unless Keep Pose is enabled"""
 
+    bl_idname = "facemime.stop_puppet"
     bl_label = "Stop Puppet"
     bl_options = {"REGISTER"}
 
@@ -214,6 +217,7 @@ class FACEMIME_OT_stop_puppet(bpy.types.Operator):
 class FACEMIME_OT_next_face(bpy.types.Operator):
     """Track the next face to the right; after the last one, the leftmost"""
 
+    bl_idname = "facemime.next_face"
     bl_label = "Next Face"
     bl_options = {"REGISTER"}
 

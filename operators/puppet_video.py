@@ -23,6 +23,7 @@ _TICK = 0.1
 class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     """Track the face in a video, keep it as a take, and bake it to the active head and all other selected heads"""
 
+    bl_idname = "facemime.puppet_video"
     bl_label = "Puppet from Video"
     needs = (require_object_mode, require_heads)
 
@@ -134,6 +135,7 @@ def _heads(context: bpy.types.Context, first: bpy.types.Object) -> list[bpy.type
 class FACEMIME_OT_stop_tracking(bpy.types.Operator):
     """Stop tracking, keep the frames tracked so far as a take, and bake them"""
 
+    bl_idname = "facemime.stop_tracking"
     bl_label = "Stop Tracking"
     bl_options = {"INTERNAL"}
 

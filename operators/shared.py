@@ -155,7 +155,7 @@ def subject(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def required_subject(context: bpy.types.Context) -> bpy.types.Object:
-    """Return the object as `subject` does; HeadError if there is none, though `poll` rules that out."""
+    """Return the object that `subject` finds. Raise a HeadError if there is none, which `poll` prevents."""
     return object_of(subject(context))
 
 

@@ -57,6 +57,7 @@ class _AddsEditedTake(OnTake):
 class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take that is trimmed to a range, and starts at the first frame"""
 
+    bl_idname = "facemime.trim_take"
     bl_label = "Trim Take"
     suffix = "Trimmed"
 
@@ -115,6 +116,7 @@ class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
 class FACEMIME_OT_mend_take(_AddsEditedTake, bpy.types.Operator):
     """Add a mended copy of the selected take: without outliers and gaps, smoothed without delay, or mirrored"""
 
+    bl_idname = "facemime.mend_take"
     bl_label = "Mend Take"
     suffix = "Mended"
 
@@ -126,6 +128,7 @@ class FACEMIME_OT_mend_take(_AddsEditedTake, bpy.types.Operator):
 class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
     """Use the face at the current frame as the neutral face of the selected take"""
 
+    bl_idname = "facemime.renew_neutral"
     bl_label = "Set Neutral at Frame"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -136,6 +139,7 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
 class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
     """Add a copy of the selected take with another take inserted, blended at both ends"""
 
+    bl_idname = "facemime.punch_in_take"
     bl_label = "Insert Take"
     suffix = "Edited"
 
@@ -181,6 +185,7 @@ def _require_no_range(operator: type[bpy.types.Operator], context: bpy.types.Con
 class FACEMIME_OT_rerecord_take(OnTake, bpy.types.Operator):
     """Re-record the selected take between two frames with pre-roll, blended at both ends"""
 
+    bl_idname = "facemime.rerecord_take"
     bl_label = "Re-Record Range"
     bl_options = {"REGISTER"}
     needs = (require_puppet, _require_no_range, require_take)

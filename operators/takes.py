@@ -64,6 +64,7 @@ def _countdown(session: LiveSession, scene: bpy.types.Scene) -> float:
 class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
     """Record everything that is tracked, starting the puppet if necessary; the take is saved while it is recorded"""
 
+    bl_idname = "facemime.record_take"
     bl_label = "Record Take"
     bl_options = {"REGISTER"}
 
@@ -104,6 +105,7 @@ class FACEMIME_OT_record_take(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
     """Show the selected take on the active head and all other selected heads without baking; click again to stop"""
 
+    bl_idname = "facemime.show_take"
     bl_label = "Preview on Head"
     bl_options = {"REGISTER"}
 
@@ -130,6 +132,7 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
     """Remove the selected take from the list; its file is kept"""
 
+    bl_idname = "facemime.remove_take"
     bl_label = "Remove Take"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -141,6 +144,7 @@ class FACEMIME_OT_remove_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
     """Add takes in the folder that are not in the list, such as removed ones and those recorded before a crash"""
 
+    bl_idname = "facemime.find_takes"
     bl_label = "Find Takes"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -168,6 +172,7 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     """Add a take from a file to the list, or a table or another program's recording as a take"""
 
+    bl_idname = "facemime.import_take"
     bl_label = "Import Take"
 
     filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in (SUFFIX, *RECORDINGS)), options={"HIDDEN"})
@@ -198,6 +203,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
 class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
     """Export the selected take to a file, or as a table of numbers"""
 
+    bl_idname = "facemime.export_take"
     bl_label = "Export Take"
 
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
@@ -213,6 +219,7 @@ class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
 class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
     """Pack the selected take into the .blend file, or unpack it"""
 
+    bl_idname = "facemime.pack_take"
     bl_label = "Pack Take"
 
     def work(self, context: bpy.types.Context) -> None:
@@ -226,6 +233,7 @@ class FACEMIME_OT_pack_take(OnTake, bpy.types.Operator):
 class FACEMIME_OT_take_from_animation(WorksInSteps, OnHead, bpy.types.Operator):
     """Sample the active head over the frame range as a take, whether shape keys, bones or a cache move it"""
 
+    bl_idname = "facemime.take_from_animation"
     bl_label = "Take from Animation"
     needs = (require_no_session, require_mesh)
 

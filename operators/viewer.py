@@ -32,6 +32,7 @@ def _address() -> str:
 class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
     """Open the viewer in this computer's browser"""
 
+    bl_idname = "facemime.open_viewer"
     bl_label = "Open in Browser"
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
@@ -43,6 +44,7 @@ class FACEMIME_OT_open_viewer(_OfViewer, bpy.types.Operator):
 class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
     """Copy the address of the viewer; anyone who has it can watch"""
 
+    bl_idname = "facemime.copy_viewer_address"
     bl_label = "Copy Address"
 
     def execute(self, context: bpy.types.Context) -> OperatorResult:
@@ -55,6 +57,7 @@ class FACEMIME_OT_copy_viewer_address(_OfViewer, bpy.types.Operator):
 class FACEMIME_OT_copy_pairing_line(ReportsErrors, bpy.types.Operator):
     """Copy the line that the other computer needs to receive the performance; anyone who has it can"""
 
+    bl_idname = "facemime.copy_pairing_line"
     bl_label = "Copy Pairing Line"
     bl_options = {"INTERNAL"}
 
@@ -67,6 +70,7 @@ class FACEMIME_OT_copy_pairing_line(ReportsErrors, bpy.types.Operator):
 class FACEMIME_OT_renew_pairing_line(ReportsErrors, bpy.types.Operator):
     """Make a new pairing line; computers with the previous one can no longer receive"""
 
+    bl_idname = "facemime.renew_pairing_line"
     bl_label = "Renew Pairing Line"
     bl_options = {"INTERNAL"}
 
