@@ -22,7 +22,7 @@ import numpy as np
 
 from ..core.errors import DataError, SourceError
 from ..core.files.assets import version
-from ..core.files.capture import check_readable, require_utf8_name
+from ..core.files.capture import check_readable, require_utf8_name, unreadable_folder
 from ..core.files.reading import as_integer, as_list, as_number, as_object, parse_json, read_text, shown
 from ..core.files.writing import reason_of, replacing
 from ..core.puppet.job import PuppetJob
@@ -155,11 +155,7 @@ def _videos_in(folder: Path) -> list[Path]:
         os.listdir(folder)  # `rglob` ignores a folder that is not readable
         return sorted(path for path in files if path.suffix.lower() in _VIDEO_SUFFIXES)
     except OSError as error:
-        raise SourceError(
-            "The folder {folder} cannot be read: {error}. Change its permissions.",
-            folder=folder,
-            error=reason_of(error),
-        ) from error
+        raise unreadable_folder(folder, error) from error
 
 
 def _listed(path: Path) -> list[Path]:

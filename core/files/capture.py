@@ -196,12 +196,15 @@ def pictures_in(folder: Path) -> list[Path]:
     try:
         pictures = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
     except OSError as error:
-        raise SourceError(
-            "The folder {folder} cannot be read: {error}. Change its permissions.",
-            folder=folder,
-            error=reason_of(error),
-        ) from error
+        raise unreadable_folder(folder, error) from error
     return sorted(pictures, key=lambda path: [(int(n or 0), text) for text, n in _NUMBERED.findall(path.name)])
+
+
+def unreadable_folder(folder: Path, error: OSError) -> SourceError:
+    """Return the error for a folder whose files cannot be listed."""
+    return SourceError(
+        "The folder {folder} cannot be read: {error}. Change its permissions.", folder=folder, error=reason_of(error)
+    )
 
 
 def open_video(path: Path, rate: float = PICTURE_RATE) -> VideoSource | PictureSource:

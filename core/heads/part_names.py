@@ -205,7 +205,7 @@ def find_bones(names: Sequence[str], weights: Mapping[str, float]) -> FaceBones:
 
 
 def _best(names: Sequence[str], wanted: Sequence[set[str]], side: set[str]) -> str:
-    """Return the best of `names` that consists of one of `wanted` and a side; "" if there is none."""
+    """Return the best match among `names`: one of `wanted` with a side. "" if none matches."""
     for words in wanted:
         for name in names:
             found = _words_of(name)

@@ -34,7 +34,10 @@ _INDEPENDENT = 12.0
 prior."""
 _CALM = 0.1
 """Amount of expression, in eye distances over all landmarks, below which frames count alike."""
-_ROUNDS, _SWEEPS = 12, 25
+_ROUNDS = 12
+"""Alternations between the person and the activations."""
+_SWEEPS = 25
+"""Sweeps of coordinate descent over the activations in each of them."""
 _DEPTH = 0.3
 """Weight of depths, which a camera hardly sees."""
 _CONTOUR = 0.3
