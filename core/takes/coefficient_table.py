@@ -77,20 +77,11 @@ def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
 
     Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or parts of them;
     or follow from numbers of frames, or from 1/30 s between rows. Rows whose time does not increase are left out if
-    they are few. `HeadYaw` to `HeadRoll` and `LeftEyeYaw` to `RightEyeRoll` are those of Live Link Face; for their
-    unit, see `unit_of_angles`. Without those of the eyes, the gaze follows from the coefficients. Other columns are
-    ignored, and coefficients without a column are 0; a missing value is interpolated, and a row without any is a frame
-    without a face. What was decided is in ``info["notes"]``.
-
-    Parameters
-    ----------
-    angles : {"automatic", "radians", "degrees"}
-        Unit of the angles.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or contains a value that is not a number; the message states it.
+    they are few. `HeadYaw` to `HeadRoll` and `LeftEyeYaw` to `RightEyeRoll` are those of Live Link Face, in radians or
+    degrees; for "automatic", see `unit_of_angles`. Without those of the eyes, the gaze follows from the coefficients.
+    Other columns are ignored, and coefficients without a column are 0; a missing value is interpolated, and a row
+    without any is a frame without a face. What was decided is in ``info["notes"]``. A SourceError states why the file
+    cannot be read, or what is not a number.
     """
     path = Path(path)
     if not check_readable(path):
@@ -115,30 +106,12 @@ def write_coefficient_csv(
     live_link: bool,
     rate: float = 60.0,
 ) -> None:
-    """Write a table of coefficients.
+    """Write a table of coefficients, under Live Link Face's titles with a timecode, or ARKit's names with seconds.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    times : (N,) float64
-        Times in seconds.
-    values : (N, 52) float64
-        Coefficients in the order of `COEFFICIENTS`.
-    rotations : (N, 3) float64
-        Pitch, yaw and roll of the head relative to neutral in radians, as in `TrackResult`.
-    eyes : (N, 2, 2) float64, optional
-        `(pitch, yaw)` of the right and the left eye relative to neutral in radians, as for the gaze in `TrackResult`;
-        by default 0. Only Live Link Face's columns have them.
-    live_link : bool
-        Whether to write Live Link Face's columns, with a timecode, rather than a column of seconds and ARKit's names.
-    rate : float
-        Frames per second of the timecode.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    Of N frames, these are the times in seconds, `values` (N, 52) in the order of `COEFFICIENTS`, `rotations` (N, 3) of
+    the head relative to neutral, as in `TrackResult`, and `eyes` (N, 2, 2), the `(pitch, yaw)` of the right and the
+    left eye relative to neutral in radians, by default 0, for which only Live Link Face has columns. `rate` is that of
+    the timecode in frames per second. Raises OutputError if the file cannot be written.
     """
     order = LIVE_LINK_ORDER if live_link else COEFFICIENTS
     places = [COEFFICIENT_INDEX[name] for name in order]
@@ -155,20 +128,7 @@ def write_coefficient_csv(
 
 
 def timecode(time: float, rate: float) -> str:
-    """Format a time as Live Link Face does: hours, minutes, seconds, frames and thousandths of a frame.
-
-    Parameters
-    ----------
-    time : float
-        Time in seconds; negative times count as 0.
-    rate : float
-        Frames per second.
-
-    Returns
-    -------
-    str
-        The timecode, such as 10:20:30:12.500.
-    """
+    """Format seconds as Live Link Face does, such as 10:20:30:12.500; negative times count as 0."""
     whole = floor(max(time, 0.0) * rate * 1000.0 + 0.5)
     frames, part = divmod(whole, 1000)
     seconds, frame = divmod(frames, round(rate))

@@ -31,26 +31,11 @@ def coefficient_take(
     found: NDArray[np.bool_] | None = None,
     notes: Sequence[str] = (),
 ) -> Take:
-    """Return coefficients over time as a take.
+    """Return coefficients over time as a take, whose ``info["notes"]`` are `notes`, what was assumed.
 
-    Parameters
-    ----------
-    name : str
-        Of the file that they come from.
-    times : (N,) float64
-        Seconds, increasing.
-    values : (N, 52) float64
-        Coefficients in the order of `COEFFICIENTS`.
-    rotations : N arrays (3,)
-        Pitch, yaw and roll of the head in radians, as in `TrackResult`.
-    positions : (N, 3) float64, optional
-        Translations of the head: head frame, metres.
-    eyes : N arrays (2, 2) or None, optional
-        As for `CoefficientFace.result`.
-    found : (N,) bool, optional
-        Which frames have a face; all by default.
-    notes : sequence of str
-        What was assumed; they are in ``info["notes"]``.
+    For N increasing times in seconds, these are the `values` (N, 52) in the order of `COEFFICIENTS`; the pitch, yaw and
+    roll of the head in radians, as in `TrackResult`; its translations (N, 3) in the head frame, in metres; the `eyes`
+    (2, 2) as for `CoefficientFace.result`; and the frames that have a face, by default all. `name` is that of the file.
     """
     count, face = len(times), coefficient_face()
     rate = 1.0 / float(np.median(np.diff(times))) if count > 1 else _RATE
@@ -97,23 +82,9 @@ class CoefficientTrack:
 
 
 def coefficients_of_keys(curves: Mapping[str, FloatArray]) -> tuple[FloatArray, list[str]]:
-    """Return the coefficients that the values of shape keys show.
+    """Return coefficients (N, 52) and notes on the set to which the keys belong, from the keys' values (N,) by name.
 
-    Parameters
-    ----------
-    curves : mapping of str to (N,) array
-        Values by the name of the key.
-
-    Returns
-    -------
-    values : (N, 52) float64
-    notes : list of str
-        The set that was recognised, and what it lacks.
-
-    Raises
-    ------
-    ValueError
-        If the names are not of a known set.
+    The notes state the set that was recognised, and what it lacks. Raises ValueError if it is not a known set.
     """
     table = best_preset(list(curves))
     if table is None:
@@ -124,18 +95,7 @@ def coefficients_of_keys(curves: Mapping[str, FloatArray]) -> tuple[FloatArray, 
 
 
 def recorded(performance: CoefficientTrack, name: str) -> Take:
-    """Return a performance as a take.
-
-    Parameters
-    ----------
-    name : str
-        Of the file that it comes from.
-
-    Raises
-    ------
-    ValueError
-        If the times do not increase, or there is no frame.
-    """
+    """Return a performance as a take; raises ValueError if it has no frame, or its times do not increase."""
     times = performance.times - performance.times[:1]
     if not len(times):
         raise DataError("it has no frames")

@@ -68,46 +68,18 @@ class FaceSpace:
     units: FloatArray
 
     def explain(self, shapes: FloatArray, weights: FloatArray) -> FloatArray:
-        """Estimate the activations of the units in frames of one person (equation 4.1).
-
-        Parameters
-        ----------
-        shapes : (N, 66, 3) float64
-            Pose-free shapes: head frame, outer-eye distances.
-        weights : (N,) float64
-            Relative weights of the frames, positive.
-
-        Returns
-        -------
-        (N, U) float64
-            Activations, at least 0.
-
-        Notes
-        -----
-        It takes 0.3 s for 300 frames.
-        """
+        """Estimate the units' activations (N, U) in frames of one person (equation 4.1); 300 frames take 0.3 s."""
         *_, activations = self.sweeps(shapes, weights)
         return activations
 
     def sweeps(self, shapes: FloatArray, weights: FloatArray) -> Iterator[FloatArray]:
-        """Compute `explain` step by step.
+        """Compute `explain` step by step, and yield its array after each sweep.
 
-        Parameters
-        ----------
-        shapes, weights : (N, 66, 3), (N,) float64
-            As for `explain`.
-
-        Yields
-        ------
-        (N, U) float64
-            Activations after each sweep, always in the same array; the last ones are the result.
-
-        Notes
-        -----
-        Steps alternate between the identity, a ridge regression, and the activations, by coordinate descent over all
-        frames at once (Friedman et al. 2010). A sweep takes 1 ms, the regression much less: with the covariance ``C =
-        V diag(l) V^T`` of people's faces, the face that `n` frames with the mean `x` suggest is ``V diag(n l / (n l +
-        1)) V^T x``.
+        `shapes` (N, 66, 3) are pose-free, in the head frame and outer-eye distances; `weights` (N,) are the relative
+        ones of the frames, positive. Steps alternate between the identity, a ridge regression, and the activations, by
+        coordinate descent over all frames at once (Friedman et al. 2010). A sweep takes 1 ms, the regression much less:
+        with the covariance ``C = V diag(l) V^T`` of people's faces, the face that `n` frames with the mean `x` suggest
+        is ``V diag(n l / (n l + 1)) V^T x``.
         """
         away = without_similarity(shapes - self.mean, self.mean).reshape(len(shapes), -1) * _TRUST / _NOISE
         shown, (spread, axes) = self._scaled_units, self._people
@@ -160,19 +132,9 @@ class FaceSpace:
 
 
 def without_similarity(displacements: FloatArray, mean: FloatArray) -> FloatArray:
-    """Remove the part of displacements that moves, turns or scales the whole face.
+    """Remove from displacements (N, 66, 3) what moves, turns or scales the whole face `mean`.
 
-    Parameters
-    ----------
-    displacements : (N, 66, 3) float64
-        Displacements from `mean`.
-    mean : (66, 3) float64
-        Face about which the similarity is linearised.
-
-    Returns
-    -------
-    (N, 66, 3) float64
-        The remainder of a weighted least-squares fit.
+    It is the weighted least-squares fit of a similarity that is linearised about `mean`.
     """
     whole = np.stack(list(_similarities(mean))).reshape(7, -1)
     flat = displacements.reshape(len(displacements), -1)
@@ -201,12 +163,7 @@ _TRUST = _trust()
 
 @lru_cache(maxsize=1)
 def load_face_space() -> FaceSpace:
-    """Read the shipped face space, once.
-
-    Raises
-    ------
-    ModelError
-        If the file is missing, damaged, or of a different version.
+    """Read the shipped face space, once; raises ModelError if the file is missing, damaged, or of a different version.
     """
     with open_shipped(FACE_SPACE_FILE, FORMAT) as archive:
         return FaceSpace(

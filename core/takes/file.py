@@ -84,22 +84,7 @@ class TakeWriter(Closing):
         return self._written + len(self._pending)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        time : float
-            Time in seconds; has to increase from call to call.
-        result : TrackResult
-            Result of that frame.
-
-        Raises
-        ------
-        ValueError
-            If the time does not increase.
-        OutputError
-            If the file cannot be written.
-        """
+        """Add a frame. Raises ValueError if its time does not increase, and OutputError if it cannot be written."""
         check_increase(self._last, time)
         now = clock.monotonic()
         if not self._pending:

@@ -69,12 +69,8 @@ class Chunk:
     ----------
     kind : bytes
         `START`, `FRAMES` or `END`.
-    count : int
-        Number of frames in the chunk.
-    first : int
-        Number of its first frame.
-    content : bytes
-        The content.
+    count, first : int
+        How many frames are in the chunk, and the number of the first one.
     version : int
         Version of the format.
     """
@@ -98,19 +94,7 @@ class NewerFormatError(ValueError):
 
 
 def chunk_bytes(kind: bytes, content: bytes, *, count: int = 0, first: int = 0) -> bytes:
-    """Serialise a chunk.
-
-    Parameters
-    ----------
-    kind : bytes
-        `START`, `FRAMES` or `END`.
-    content : bytes
-        Content from `info_content` or `frames_content`.
-    count : int
-        Number of frames in the chunk.
-    first : int
-        Number of its first frame.
-    """
+    """Serialise a chunk of a kind (`START`, `FRAMES` or `END`) with `count` frames from number `first`."""
     fields = (MARKER, FORMAT_VERSION, kind, count, first, len(content), zlib.crc32(content))
     head = HEADER.pack(*fields, 0)[:-4]
     return head + struct.pack("<I", zlib.crc32(head)) + content
@@ -119,17 +103,10 @@ def chunk_bytes(kind: bytes, content: bytes, *, count: int = 0, first: int = 0) 
 def chunks_in(data: bytes) -> Iterator[Chunk | Damage]:
     """Iterate over the intact chunks of a file, with a `Damage` in place of anything else.
 
-    Raises
-    ------
-    NewerFormatError
-        If an intact header states a later version.
-    ValueError
-        If so many chunks are broken that the file must have been made to keep a reader busy.
-
-    Notes
-    -----
     After damage the next marker is sought, also within the alleged content of a broken chunk, because a length is not
-    trusted without its checksum. The work is bounded by the size of the file.
+    trusted without its checksum. The work is bounded by the size of the file. Raises ValueError if so many chunks are
+    broken that the file must have been made to keep a reader busy, and NewerFormatError if an intact header states a
+    later version.
     """
     at, patience = 0, 4 * len(data) + MAX_CONTENT
     while 0 <= at < len(data):
@@ -176,20 +153,7 @@ def _chunk_at(data: bytes, at: int) -> tuple[Chunk | None, int]:
 
 
 def info_content(info: dict[str, Any], frames: int) -> bytes:
-    """Serialise the description of a take.
-
-    Parameters
-    ----------
-    info : dict
-        `Take.info`; NaN and infinity become null.
-    frames : int
-        Number of frames.
-
-    Returns
-    -------
-    bytes
-        Content of a chunk.
-    """
+    """Serialise `Take.info`, in which NaN and infinity become null, with the number of frames."""
     return json.dumps({"info": _plain(info), "frames": frames}, allow_nan=False).encode()
 
 
@@ -258,26 +222,9 @@ def frames_content(take: Take) -> bytes:
 
 
 def frames_of(content: bytes, count: int, version: int = FORMAT_VERSION) -> Take:
-    """Parse the result of `frames_content`.
+    """Parse the result of `frames_content` with `count` frames; raises ValueError if the content is anything else.
 
-    Parameters
-    ----------
-    content : bytes
-        Content of a chunk.
-    count : int
-        Number of frames.
-    version : int
-        Version of the format; columns that earlier versions lack are unknown.
-
-    Returns
-    -------
-    Take
-        The frames.
-
-    Raises
-    ------
-    ValueError
-        If the content is anything else.
+    Columns that earlier versions of the format lack are unknown.
     """
     times = np.frombuffer(content[: 8 * count], "<f8")
     layout = [column for column in LAYOUT if _SINCE.get(column[0], 1) <= version]

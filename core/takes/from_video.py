@@ -110,21 +110,11 @@ def track_people(
     output: Path | None = None,
     rate: float = PICTURE_RATE,
 ) -> list[Take]:
-    """Track everybody in a video.
+    """Track everybody in a video, or in a folder with its frames as pictures, at `rate` frames per second.
 
-    Parameters
-    ----------
-    path : path-like
-        The video, or a folder with its frames as pictures.
-    tracker : FaceTracker, optional
-        Finds and fits the faces; by default a new one with the shipped model.
-    on_frame : callable, optional
-        Called after each frame with the number of frames done, the number stated by the file, and the number of faces
-        in view. Returning False stops.
-    output : Path, optional
-        Name of the takes to write while tracking; that of each person is `numbered`, and must not exist.
-    rate : float
-        Frames per second of pictures.
+    `on_frame` is called after each frame with the number of frames done, the number stated by the file, and the number
+    of faces in view; if it returns False, tracking stops. Where `output` is given, the takes are written while tracking
+    to files that must not exist, each person's `numbered`.
 
     Returns
     -------
@@ -192,13 +182,7 @@ def numbered(path: Path, number: int) -> Path:
 
 
 class _Recorder(Closing):
-    """Records a take, and writes it to a file if it has one.
-
-    Attributes
-    ----------
-    seen : int
-        Number of frames with a face.
-    """
+    """Records a take, and writes it to a file if it has one; `seen` is the number of frames with a face."""
 
     def __init__(self, info: dict[str, Any], output: Path | None) -> None:
         self._recorder = TakeRecorder(info)
@@ -232,13 +216,7 @@ class _Recorder(Closing):
 
 
 def _lost_after(source: VideoSource | PictureSource, count: int, last: float) -> float:
-    """Return how many seconds of a video are missing after the last image that was read; 0 if it is complete.
-
-    Parameters
-    ----------
-    last : float
-        Time of the last one.
-    """
+    """Return how many seconds of a video are missing after the last image, which is at `last` seconds."""
     stated = source.frame_count / source.fps
     if isinstance(source, PictureSource) or count >= _COMPLETE * source.frame_count or last >= _COMPLETE * stated:
         return 0.0

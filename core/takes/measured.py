@@ -91,14 +91,8 @@ class PointTracker:
     def result(self, points: FacePoints, rotation: FloatArray, moved: FloatArray) -> TrackResult:
         """Return the result of an ideal tracker for a head whose motion is known.
 
-        Parameters
-        ----------
-        points : FacePoints
-            The face; its anchors are ignored.
-        rotation : (3, 3) float64
-            Rotation of the head from rest.
-        moved : (3,) float64
-            Translation of the head: it is at ``rotation @ rest + moved``, in the unit of the head frame.
+        The head is at ``rotation @ rest + moved``, in the unit of the head frame; the anchors of the points are
+        ignored.
         """
         pose = pose_of(rotation, (rotation @ self.pivot + moved - self.pivot) / self.unit)
         shape = ((points.landmarks - moved) @ rotation - self._centre) / self.unit
@@ -130,20 +124,7 @@ class PointTracker:
 
 
 def pose_of(rotation: FloatArray, moved: FloatArray) -> FloatArray:
-    """Find the pose of a head that was turned and moved; the inverse of equation 4.4.
-
-    Parameters
-    ----------
-    rotation : (3, 3) float64
-        Rotation from rest, in the head frame.
-    moved : (3,) float64
-        Translation from rest, in the head frame and outer-eye distances.
-
-    Returns
-    -------
-    (6,) float64
-        The pose, as in `TrackResult`.
-    """
+    """Find the pose (6,) of a head that was turned and moved, in outer-eye distances; the inverse of equation 4.4."""
     across, down, away = moved
     scale = _SCALE / max(1.0 + away / CAMERA_DISTANCE, _NEAREST)
     sideways = np.array([across, down]) * np.sqrt(scale * _SCALE)
@@ -151,41 +132,16 @@ def pose_of(rotation: FloatArray, moved: FloatArray) -> FloatArray:
 
 
 def describe_animation(source: str, fps: float) -> dict[str, object]:
-    """Create the initial `info` of a take from an animation.
-
-    Parameters
-    ----------
-    source : str
-        Name of the file or object.
-    fps : float
-        Frames per second.
-    """
+    """Create the initial `info` of a take from an animation in the named file or object."""
     return {**describe(source, fps, IMAGE_SIZE, "mesh"), "measured": True}
 
 
 def fit_rigid(source: FloatArray, target: FloatArray, trust: FloatArray, least: float) -> tuple[FloatArray, FloatArray]:
     """Fit the rigid motion that most points follow, regardless of the others.
 
-    Parameters
-    ----------
-    source, target : (N, 3) float64
-        Corresponding points.
-    trust : (N,) float64
-        Weights of the points.
-    least : float
-        Distance below which differences count as noise, in the unit of the points.
-
-    Returns
-    -------
-    rotation : (3, 3) float64
-        The rotation.
-    moved : (3,) float64
-        The translation: ``rotation @ source + moved`` is near `target` for most points.
-
-    Notes
-    -----
-    Iteratively reweighted least squares with the weights of Geman and McClure (1987), whose spread decreases with the
-    median of the distances.
+    ``rotation @ source + moved`` is near `target` for most of the points (N, 3), of weights (N,); differences below
+    `least`, in their unit, count as noise. This is iteratively reweighted least squares with the weights of Geman and
+    McClure (1987), whose spread decreases with the median of the distances.
     """
     weights = trust
     for _ in range(_ROUNDS):
@@ -216,13 +172,7 @@ def _direction(rotation: FloatArray) -> FloatArray:
 
 
 class CoefficientFace:
-    """Shows coefficients on the built-in head.
-
-    Attributes
-    ----------
-    neutral : Neutral
-        The neutral face of all results, which is that of the built-in head.
-    """
+    """Shows coefficients on the built-in head, whose neutral face is `neutral`, that of all results."""
 
     def __init__(self) -> None:
         head = load_head()
@@ -240,45 +190,17 @@ class CoefficientFace:
         moved: FloatArray | None = None,
         eyes: FloatArray | None = None,
     ) -> TrackResult:
-        """Return the result of an ideal tracker.
+        """Return the result of an ideal tracker for coefficients (52,), clipped to 0 to 1.
 
-        Parameters
-        ----------
-        values : (52,) float64
-            Coefficients in the order of `COEFFICIENTS`; clipped to 0 to 1.
-        rotation : (3,) float64
-            Pitch, yaw and roll of the head in radians, as in `TrackResult`.
-        moved : (3,) float64, optional
-            Translation of the head from rest: head frame, metres.
-        eyes : (2, 2) float64, optional
-            `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`; by default they
-            follow from the coefficients.
-
-        Returns
-        -------
-        TrackResult
-            The result, with the coefficients and the pose-free shape that they produce.
+        `rotation` (3,) is the pitch, yaw and roll of the head in radians, as in `TrackResult`; `moved` is the
+        translation from rest in the head frame, in metres; `eyes` (2, 2) are the `(pitch, yaw)` of the right and the
+        left eye in radians, as for the gaze in `TrackResult`, and follow from the coefficients by default.
         """
         pose = pose_of(euler_to_matrix(*rotation), np.zeros(3) if moved is None else np.asarray(moved) / self.unit)
         return self.posed(np.clip(values, 0.0, 1.0), pose, eyes)
 
     def posed(self, values: FloatArray, pose: FloatArray, eyes: FloatArray | None = None) -> TrackResult:
-        """Return the result of an ideal tracker for a known pose.
-
-        Parameters
-        ----------
-        values : (52,) float64
-            Coefficients in the order of `COEFFICIENTS`, from 0 to 1.
-        pose : (6,) float64
-            As in `TrackResult`.
-        eyes : (2, 2) float64, optional
-            As for `result`.
-
-        Returns
-        -------
-        TrackResult
-            As for `result`.
-        """
+        """Do what `result` does for coefficients from 0 to 1 and a pose (6,), as in `TrackResult`."""
         shape = self._rest + np.tensordot(values[FITTED], self._units, 1)
         gaze, vergence = gaze_of(values[LOOKS]) if eyes is None else gaze_of_eyes(eyes)
         return TrackResult.exact(shape, pose, gaze=gaze, vergence=vergence, coefficients=values)

@@ -40,17 +40,9 @@ _INK = (60, 60, 60)
 
 
 def mend(take: Take, mending: Mending) -> Take:
-    """Mend a take.
+    """Mend a take step by step.
 
-    Parameters
-    ----------
-    mending : Mending
-        What to do, in the order of its fields.
-
-    Raises
-    ------
-    SourceError
-        If a number is out of range, or there is no face at the time of the neutral face.
+    Raises SourceError if a number is out of range, or there is no face at the time of the neutral face.
     """
     if mending.outliers:
         take = remove_outliers(take)
@@ -77,22 +69,11 @@ _NEUTRAL_SPAN = 0.2
 
 
 def bridge_gaps(take: Take, how: Literal["bridge", "hold"] = "bridge", longest: float = 1.0) -> Take:
-    """Fill gaps between two frames with a face.
+    """Fill gaps between two frames with a face, up to `longest` seconds, by interpolation or by holding the last face.
 
     Filled frames count as found, so that they drive a head as any other, with confidence 0, as nothing was seen.
-    ``info["bridged"]`` lists their spans. Frames before the first and after the last face stay lost.
-
-    Parameters
-    ----------
-    how : {"bridge", "hold"}
-        Interpolate, or hold the last face.
-    longest : float
-        Longest gap to fill in seconds, from face to face.
-
-    Raises
-    ------
-    SourceError
-        If `longest` is negative.
+    ``info["bridged"]`` lists their spans. Frames before the first and after the last face stay lost. Raises SourceError
+    if `longest` is negative.
     """
     if not longest >= 0.0:
         raise SourceError("The longest gap cannot be {longest} s. Use 0 or more.", longest=longest)
@@ -149,13 +130,7 @@ def remove_outliers(take: Take) -> Take:
 
 
 def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:
-    """Mirror a take left to right. Mirroring twice gives the take again.
-
-    Parameters
-    ----------
-    mode_signs : (K,) float64, optional
-        As for `mirror_result`.
-    """
+    """Mirror a take left to right, with `mode_signs` as for `mirror_result`. Mirroring twice gives the take again."""
     width = float(take.info.get("image_size", (640, 480))[0])
     info: dict[str, Any] = {**take.info, "mirrored": not take.info.get("mirrored", False)}
     if "calibration" in info:
@@ -174,40 +149,13 @@ def mirror_tracked(take: Take) -> Take:
 
 
 def renew_neutral(take: Take, frame_time: float) -> Take:
-    """Return a take with the face at a given time as its neutral face, which `calibrate` then returns.
-
-    Parameters
-    ----------
-    frame_time : float
-        Time of the frame in seconds.
-
-    Returns
-    -------
-    Take
-        The take with that neutral face.
-
-    Raises
-    ------
-    SourceError
-        If there is no face at that time.
-    """
+    """Make the face at a time in seconds the one that `calibrate` returns; raises SourceError if there is none."""
     neutral = calibrate(take, frame_time - _NEUTRAL_SPAN / 2.0, _NEUTRAL_SPAN)
     return replace(take, info={**take.info, "calibration": neutral.to_dict()})
 
 
 def draw_before_after(take: Take, mended: Take) -> NDArray[np.uint8]:
-    """Draw the curves of `before_after` for every part, over the time of both takes.
-
-    Parameters
-    ----------
-    take, mended : Take
-        The take before and after mending.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        The figure, BGR.
-    """
+    """Draw the curves of `before_after` for every part, over the time of both takes: a figure (H, W, 3), BGR."""
     times = np.concatenate([take.times, mended.times])
     start, length = float(times.min()), max(float(np.ptp(times)), 1e-9)
     strips = []

@@ -311,38 +311,15 @@ def calmest(take: Take, *, prior: bool = True) -> Neutral:
 
 
 def trust(take: Take, frames: IntArray) -> FloatArray:
-    """Compute the weights of frames for `FaceSpace.explain`, which are lower for turned and uncertain ones.
-
-    Parameters
-    ----------
-    frames : (N,) array of int
-        Frames with a face.
-
-    Returns
-    -------
-    (N,) float64
-        Positive weights.
-    """
+    """Compute the frames' weights for `FaceSpace.explain`: positive, and lower for turned and uncertain faces."""
     turned = np.square(take.pose[frames, 1:3] / _TURNED).sum(axis=1)
     return np.asarray(take.confidence[frames] * np.exp(-turned) + _MIN_TRUST)
 
 
 def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
-    """Estimate the face at rest from all calm frames of a take, without the expression that they show.
+    """Estimate the face at rest from all calm frames, without the expression of which `explain` found the activations.
 
     It changes little as the performance continues, unlike the calmest moment, which `calibrate` finds.
-
-    Parameters
-    ----------
-    frames : (N,) array of int
-        Frames with a face.
-    activations : (N, U) float64
-        Activations of their expressions, from `FaceSpace.explain`.
-
-    Returns
-    -------
-    Neutral
-        The neutral face of a head that faces the camera.
     """
     amount, strong = _expressed(take, frames, activations)
     share = np.exp((amount.min() - amount) / _CALM)
@@ -409,23 +386,10 @@ def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArr
 
 
 def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
-    """Estimate `Neutral.shut`, the opening that remains when the eyes are most closed.
+    """Estimate `Neutral.shut`: how much of the opening remains when the eyes are most closed; 0 if they never shut.
 
-    Parameters
-    ----------
-    neutral : (66, 3) float64
-        Neutral shape: head frame, outer-eye distances.
-    shapes : (N, 66, 3) float64
-        Shapes of the performance, likewise.
-
-    Returns
-    -------
-    float
-        Opening as a fraction of the neutral one; 0 if the eyes never shut.
-
-    Notes
-    -----
-    The third smallest opening is used, as a blink lasts several frames at any usual rate, a misplaced lid one or two.
+    The third smallest opening of the shapes (N, 66, 3) is used, as a blink lasts several frames at any usual rate, a
+    misplaced lid one or two.
     """
     opening = eye_apertures(shapes).mean(axis=1)
     at_rest = float(eye_apertures(neutral).mean())

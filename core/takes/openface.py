@@ -130,28 +130,11 @@ def _looks(turns: FloatArray, across: FloatArray, down: FloatArray) -> FloatArra
 
 
 def write_openface_csv(path: Path, take: Take, neutral: Neutral, coefficients: FloatArray) -> None:
-    """Write a take as a table of action units.
+    """Write a take as a table of action units, given ARKit's coefficients (F, 52) of its frames with a face.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-    take : Take
-        The take.
-    neutral : Neutral
-        The performer's neutral face.
-    coefficients : (F, 52) float64
-        ARKit's coefficients of the frames with a face, from `arkit_coefficients`.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-
-    Notes
-    -----
     The columns are OpenFace's. A further column for each unit, such as AU12_doubt, states from 0 to 1 how uncertain it
-    is: 1 minus the confidence in the face times the mean certainty of the landmarks that show the unit.
+    is: 1 minus the confidence in the face times the mean certainty of the landmarks that show the unit. Raises
+    OutputError if the file cannot be written.
     """
     found = take.found
     intensities = np.zeros((len(take), len(ACTION_UNITS)))

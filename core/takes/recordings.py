@@ -167,17 +167,8 @@ def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
     """Read a recording of another program, or a table of numbers.
 
     These are tables of coefficients and of takes, Audio2Face's JSON, Face Cap's text, OpenFace's table and Unity's
-    clips. What was assumed is in ``info["notes"]``.
-
-    Parameters
-    ----------
-    angles : {"automatic", "radians", "degrees"}
-        Unit of the rotation of the head in a table of coefficients.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read; the message states what is wrong.
+    clips. `angles` is the unit in which a table of coefficients has the rotation of the head: "automatic", "radians" or
+    "degrees". What was assumed is in ``info["notes"]``. A SourceError states why the file cannot be read.
     """
     path = Path(path)
     if not check_readable(path):

@@ -75,26 +75,10 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
 
 
 def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) -> Take:
-    """Smooth a take without delay, with one cutoff per part of the face.
+    """Smooth a take without delay, with one cutoff in Hz per part of the face, by default `CUTOFFS`.
 
-    Pose, shape, gaze and actions are smoothed, and landmarks follow. Nothing is smoothed across lost frames.
-
-    Parameters
-    ----------
-    take : Take
-        The take.
-    cutoffs : mapping of str to float, optional
-        Cutoffs in Hz by part, overriding `CUTOFFS`; `inf` leaves a part unchanged.
-
-    Returns
-    -------
-    Take
-        The smoothed take.
-
-    Raises
-    ------
-    FacemimeError
-        If a part does not exist, or a cutoff is too low.
+    Pose, shape, gaze and actions are smoothed, and landmarks follow. Nothing is smoothed across lost frames, and a part
+    whose cutoff is `inf` is unchanged. Raises FacemimeError if a part does not exist, or a cutoff is too low.
     """
     chosen = {**CUTOFFS, **(cutoffs or {})}
     for part, cutoff in chosen.items():
@@ -144,28 +128,12 @@ def _runs(times: FloatArray, known: NDArray[np.bool_]) -> Iterator[NDArray[np.in
 
 
 def low_pass(times: FloatArray, values: FloatArray, cutoff: float) -> FloatArray:
-    """Filter values by a low-pass without delay.
+    """Filter values (N, D) at increasing, not necessarily even times by a low-pass without delay.
 
-    Parameters
-    ----------
-    times : (N,) float64
-        Times in seconds, increasing and not necessarily even.
-    values : (N, D) float64
-        Values at these times.
-    cutoff : float
-        Cutoff in Hz, where half of the amplitude passes.
-
-    Returns
-    -------
-    (N, D) float64
-        Filtered values.
-
-    Notes
-    -----
     Minimises ``sum_i h_i |z_i - y_i|^2 + integral |z''|^2 / (2 pi f_c)^4``, where h_i is the time that a frame stands
     for (equation 8.1; Whittaker 1923; Eilers 2003). The gain ``1 / (1 + (f / f_c)^4)`` is that of a second-order
-    Butterworth filter run forwards and backwards, but there are no transients at the ends. Straight lines are
-    unchanged. The system is pentadiagonal, so the cost is linear in N.
+    Butterworth filter run forwards and backwards, so half of the amplitude passes at the cutoff in Hz, but there are no
+    transients at the ends. Straight lines are unchanged. The system is pentadiagonal, so the cost is linear in N.
     """
     if not cutoff < _NO_CUTOFF:
         return values
@@ -205,20 +173,7 @@ class Curves:
 
 
 def before_after(take: Take, mended: Take, part: str) -> Curves:
-    """Compute the curves of a part before and after mending, along the direction of its largest motion before.
-
-    Parameters
-    ----------
-    take, mended : Take
-        The take before and after mending.
-    part : str
-        Key in `CUTOFFS`.
-
-    Returns
-    -------
-    Curves
-        The curves; NaN where unknown.
-    """
+    """Project the motion of a part in `CUTOFFS` onto its largest direction before mending; NaN where unknown."""
     before, after = _PART_VALUES[part](take), _PART_VALUES[part](mended)
     known = np.isfinite(before).all(axis=1)
     if not known.any():

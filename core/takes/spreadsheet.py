@@ -49,20 +49,7 @@ _KNOWN = frozenset(name for names in _columns(0).values() for name in names)
 
 
 def to_csv(take: Take, path: Path) -> None:
-    """Write a take as a table with one row per frame, which `from_csv` reads back exactly.
-
-    Parameters
-    ----------
-    take : Take
-        The take.
-    path : Path
-        The file.
-
-    Raises
-    ------
-    OutputError
-        If `path` cannot be written.
-    """
+    """Write a take as a table with one row per frame, which `from_csv` reads back exactly; raises OutputError."""
     columns = _columns(take.shape_params.shape[1])
     arrays = [getattr(take, name).reshape(len(take), -1) for name in columns]
     shown = np.column_stack([eye_apertures(take.shape), mouth_aperture(take.shape)]).astype(np.float32)
@@ -85,12 +72,8 @@ def from_csv(path: Path) -> Take:
     """Read a table written by `to_csv`, or another one with at least time, pose and shape.
 
     Columns may be in any order, and unknown ones are ignored. Without `found`, a frame has a face if its pose and shape
-    are numbers; without landmarks, these are computed from shape and pose; other missing values are unknown.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, lacks a column, or contains a value that is not a number; the message states it.
+    are numbers; without landmarks, these are computed from shape and pose; other missing values are unknown. A
+    SourceError states why the file cannot be read, which column it lacks, or which value is not a number.
     """
     path = Path(path)
     if not check_readable(path):

@@ -25,18 +25,7 @@ EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw"
 
 
 def head_rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
-    """Convert the angles of the head.
-
-    Parameters
-    ----------
-    yaw, pitch, roll : float
-        Angles in radians: to the performer's left, up, and anticlockwise as the viewer sees it.
-
-    Returns
-    -------
-    (3,) float64
-        Pitch, yaw and roll in radians, as in `TrackResult`.
-    """
+    """Convert angles to the performer's left, up, and anticlockwise for the viewer to those of `TrackResult`."""
     return from_face_axes(-pitch, yaw, roll)
 
 
@@ -47,18 +36,10 @@ def head_angles(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def eye_directions(angles: FloatArray) -> FloatArray | None:
-    """Convert the angles of the eyes.
+    """Convert angles (6,) of `EYES` in radians, yaw to the performer's right and pitch down, to a gaze per eye.
 
-    Parameters
-    ----------
-    angles : (6,) float64
-        Angles in radians, in the order of `EYES`: yaw to the performer's right, pitch down.
-
-    Returns
-    -------
-    (2, 2) float64 or None
-        `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`; None if all angles
-        are 0, as many programs leave them.
+    It is the `(pitch, yaw)` of the right and the left eye, (2, 2), as in `TrackResult`; None if all angles are 0, as
+    many programs leave them.
     """
     if not np.any(angles):
         return None
@@ -104,20 +85,10 @@ def angle_of(title: str) -> tuple[int, str] | None:
 
 
 def unit_of_angles(angles: FloatArray, coefficients: FloatArray) -> str:
-    """Decide on the unit of the angles of a whole table.
+    """Decide whether a table's angles (N, 9) of `HEAD` and `EYES`, 0 where missing, are "radians" or "degrees".
 
-    Parameters
-    ----------
-    angles : (N, 9) float64
-        Angles in the order of `HEAD` and `EYES`; 0 for those that are missing.
-    coefficients : (N, 52) float64
-        Coefficients in the order of `COEFFICIENTS`.
-
-    Returns
-    -------
-    {"radians", "degrees"}
-        By the angles of the eyes, if they follow the coefficients in the same row; otherwise radians, unless the head
-        would turn too far.
+    The angles of the eyes decide, if they follow the coefficients (N, 52) in the same row; otherwise it is radians,
+    unless the head would turn too far.
     """
     looks = (coefficients[:, _DOWN] - coefficients[:, _UP]).ravel()
     pitches = angles[:, [4, 7]].ravel()
@@ -129,21 +100,10 @@ def unit_of_angles(angles: FloatArray, coefficients: FloatArray) -> str:
 
 
 def poses_of(angles: FloatArray, unit: str) -> tuple[FloatArray, list[FloatArray | None]]:
-    """Convert the angles of a table.
+    """Convert a table's angles (N, 9) of `HEAD` and `EYES` to rotations of the head and directions of the eyes.
 
-    Parameters
-    ----------
-    angles : (N, 9) float64
-        Angles in the order of `HEAD` and `EYES`.
-    unit : {"radians", "degrees"}
-        Their unit.
-
-    Returns
-    -------
-    rotations : (N, 3) float64
-        Pitch, yaw and roll of the head in radians, as in `TrackResult`.
-    eyes : list of N of (2, 2) float64 or None
-        As from `eye_directions`; all None if no row has any.
+    Rotations (N, 3) are in radians, as in `TrackResult`; of N rows, the eyes are as from `eye_directions`, and all None
+    if no row has any.
     """
     radians = angles * (pi / 180.0 if unit == DEGREES else 1.0)
     rotations = np.array([head_rotation(*row) for row in radians[:, :3].tolist()])

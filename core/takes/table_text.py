@@ -49,27 +49,10 @@ class TextTable:
 
 
 def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> TextTable:
-    """Open a table of text.
+    """Open a table of text, of which lines are read one by one without the empty ones.
 
-    Parameters
-    ----------
-    path : Path
-    known : callable
-        Whether a title is expected; the separator that gives most of these is taken.
-    note : str
-        Beginning of a line that may precede the titles; "" for none.
-
-    Returns
-    -------
-    TextTable
-        Its lines are read one by one. Empty ones are left out.
-
-    Raises
-    ------
-    ValueError
-        If it is not text, or too large.
-    OSError
-        If it cannot be read.
+    The separator that gives most titles that are `known` is taken; a line that begins with `note` may precede them.
+    Raises ValueError if it is not text, or too large, and OSError if it cannot be read.
     """
     text = StringIO(read_decoded(path), newline="")
     above = [text.readline() for _ in range(_MOST_ABOVE)]

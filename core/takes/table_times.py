@@ -44,27 +44,11 @@ _DAY = 86_400.0
 def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
     """Convert timecodes to seconds, also past midnight.
 
-    Parameters
-    ----------
-    texts : sequence of str
-        Hours, minutes, seconds and frames, the latter with decimals, as in 10:20:30:12.500; or hours, minutes and
-        seconds with decimals, also after a date; or minutes and seconds with decimals.
-
-    Returns
-    -------
-    (N,) float64
-        Times in seconds.
-
-    Raises
-    ------
-    ValueError
-        If a text is not a timecode.
-
-    Notes
-    -----
-    The frame numbers show the rate where they begin again: the last one before, the usual step and the first one after
-    add up to it. Without such a place the rate is that of the app, or the lowest usual one above all frame numbers.
-    A semicolon marks drop-frame timecodes, of 29.97 or 59.94 frames per second.
+    These are hours, minutes, seconds and frames, the latter with decimals, as in 10:20:30:12.500; or hours, minutes and
+    seconds with decimals, also after a date; or minutes and seconds with decimals. The frame numbers show the rate
+    where they begin again: the last one before, the usual step and the first one after add up to it. Without such a
+    place the rate is that of the app, or the lowest usual one above all frame numbers. A semicolon marks drop-frame
+    timecodes, of 29.97 or 59.94 frames per second. Raises ValueError if a text is not a timecode.
     """
     clocks = [_DATE.sub("", text.strip()) for text in texts]
     try:
@@ -135,23 +119,7 @@ def is_title_of_time(title: str) -> bool:
 
 
 def times_of_rows(rows: Sequence[Sequence[str]], head: Sequence[str]) -> tuple[FloatArray, list[str]]:
-    """Read the times of rows.
-
-    Parameters
-    ----------
-    head : sequence of str
-        Titles of the columns.
-
-    Returns
-    -------
-    times : (N,) float64
-        In seconds.
-
-    Raises
-    ------
-    ValueError
-        If a cell is not a time.
-    """
+    """Read the seconds of rows (N,), and what was assumed; raises ValueError if a cell is not a time."""
     for pattern in (_TIMECODE, _TIME):
         if (place := _column(head, pattern)) is not None:
             texts = [_cell(row, place) for row in rows]

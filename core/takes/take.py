@@ -107,25 +107,11 @@ DTYPES: dict[str, type] = {"times": np.float64, "pose": np.float64, "found": np.
 
 
 def describe(source: str, fps: float, image_size: tuple[int, int], model: str, clock: str = "media") -> dict[str, Any]:
-    """Create the initial `info` of a take.
+    """Create the initial `info` of a take, with the version and the current time.
 
-    Parameters
-    ----------
-    source : str
-        Name of the file or the camera.
-    fps : float
-        Nominal rate of the source in frames per second.
-    image_size : (int, int)
-        Width and height in pixels.
-    model : str
-        Identifier of the tracker model.
-    clock : {"media", "monotonic"}
-        Origin of the times: presentation times of the media, or the clock of the computer.
-
-    Returns
-    -------
-    dict
-        The description, with the version and the current time.
+    `source` is the name of the file or the camera, `fps` its nominal rate, `image_size` width and height in pixels,
+    `model` the tracker model's identifier, and `clock` the origin of the times: "media", or "monotonic" for the
+    computer's.
     """
     return {
         "source": source,
@@ -150,19 +136,7 @@ class TakeRecorder:
         return len(self._times)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        time : float
-            Time in seconds; has to increase from call to call.
-        result : TrackResult
-            Result of that frame.
-
-        Raises
-        ------
-        ValueError
-            If the time does not increase.
+        """Add the result of a frame, whose time in seconds must increase from call to call; raises ValueError if not.
         """
         check_increase(self._times[-1] if self._times else -np.inf, time)
         self._times.append(time)
@@ -181,15 +155,7 @@ class TakeRecorder:
 
 
 def check_increase(last: float, time: float) -> None:
-    """Raise a ValueError if a frame cannot follow another one.
-
-    Parameters
-    ----------
-    last : float
-        Time of the earlier frame in seconds.
-    time : float
-        Time of the later frame in seconds.
-    """
+    """Raise a ValueError unless a frame at `time` can follow one at `last`, both in seconds."""
     if not last < time < np.inf:
         raise DataError("times must increase; got {time} after {last}", time=time, last=last)
 

@@ -30,21 +30,9 @@ timeline."""
 
 
 def mix(first: Take, second: Take, share: FloatArray) -> Take:
-    """Interpolate between two takes, frame by frame.
+    """Interpolate between two takes of N frames by a share (N,) for each; times and info are those of `first`.
 
-    Parameters
-    ----------
-    first : Take
-        The first take, of N frames, which also provides the times and info of the result.
-    second : Take
-        The second take, of N frames.
-    share : (N,) float64
-        0 gives a frame of `first` and 1 one of `second`, unchanged; in between, a frame is lost if either is.
-
-    Returns
-    -------
-    Take
-        The mixed take, of N frames.
+    A share of 0 gives a frame of `first` and 1 one of `second`, unchanged; in between, a frame is lost if either is.
     """
     share = np.asarray(share, dtype=np.float64)
     both = first.found & second.found
@@ -69,20 +57,7 @@ def _between(first: NDArray[Any], second: NDArray[Any], share: FloatArray) -> Fl
 
 
 def project(shape: FloatArray, pose: FloatArray) -> FloatArray:
-    """Project shapes to the image.
-
-    Parameters
-    ----------
-    shape : (N, 66, 3) float64
-        Landmarks without the pose: head frame, outer-eye distances.
-    pose : (N, 6) float64
-        Poses, as in `TrackResult`.
-
-    Returns
-    -------
-    (N, 66, 2) float64
-        Landmarks in pixels.
-    """
+    """Project shapes (N, 66, 3) without the pose, in outer-eye distances, by poses (N, 6) to pixels (N, 66, 2)."""
     if not len(pose):
         return np.empty((0, shape.shape[1], 2))
     turns = np.array([euler_to_matrix(*angles)[:2] for angles in pose[:, 1:4]])
@@ -90,20 +65,8 @@ def project(shape: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def sample(take: Take, times: FloatArray) -> Take:
-    """Sample a take at other times.
+    """Sample a take at other times, in seconds and increasing.
 
-    Parameters
-    ----------
-    times : (M,) float64
-        Times in seconds, increasing.
-
-    Returns
-    -------
-    Take
-        The sampled take, of M frames.
-
-    Notes
-    -----
     Between two frames with a face, values are interpolated. Next to a lost frame, before the first and after the last
     frame, the nearest frame is used if it is within half a typical step; otherwise the result is lost.
     """
@@ -130,18 +93,7 @@ def _typical_step(take: Take) -> float:
 
 
 def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
-    """Mark frames as lost.
-
-    Parameters
-    ----------
-    lost : (N,) bool
-        Frames to mark.
-
-    Returns
-    -------
-    Take
-        A copy without a face in these frames.
-    """
+    """Return a copy of a take without a face in the frames that `lost` (N,) marks."""
     arrays = {name: getattr(take, name).copy() for name in FIELDS[1:]}
     for name, array in arrays.items():
         array[lost] = 0 if name in ("found", "confidence") else np.nan
@@ -149,19 +101,10 @@ def mark_lost(take: Take, lost: NDArray[np.bool_]) -> Take:
 
 
 def resample(take: Take, fps: float, start: float | None = None) -> Take:
-    """Resample a take at an even rate. The timing is kept, whatever the rates.
+    """Resample a take at an even rate, from `start` in seconds or its first frame.
 
-    Parameters
-    ----------
-    fps : float
-        Frames per second.
-    start : float, optional
-        Time of the first frame in seconds; by default that of the take.
-
-    Raises
-    ------
-    SourceError
-        If the rate or the number of frames is out of range, or the take ends before `start`.
+    The timing is kept, whatever the rates. Raises SourceError if the rate or the number of frames is out of range, or
+    the take ends before `start`.
     """
     if not 0.1 <= fps <= 10_000.0:
         raise SourceError("The rate cannot be {fps} frames per second. Use one between 0.1 and 10000.", fps=fps)
@@ -187,25 +130,7 @@ def resample(take: Take, fps: float, start: float | None = None) -> Take:
 
 
 def shift_time(take: Take, seconds: float) -> Take:
-    """Shift a take in time.
-
-    Parameters
-    ----------
-    take : Take
-        The take.
-    seconds : float
-        Time to add to all times; negative for earlier times.
-
-    Returns
-    -------
-    Take
-        The shifted take.
-
-    Raises
-    ------
-    SourceError
-        If times could not be distinguished after the shift.
-    """
+    """Add seconds to all times; raises SourceError if they could not be distinguished after the shift."""
     if not (np.isfinite(seconds) and (np.diff(take.times + seconds) > 0.0).all()):
         raise SourceError("The take cannot be shifted by {seconds} s. Use fewer seconds.", seconds=seconds)
     return replace(take, times=take.times + seconds)
@@ -219,25 +144,7 @@ def restart(take: Take) -> Take:
 
 
 def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
-    """Cut out a span of a take.
-
-    Parameters
-    ----------
-    take : Take
-        The take.
-    start, end : float
-        Ends of the span in seconds, both included.
-
-    Returns
-    -------
-    Take
-        The frames of that span, at their own times.
-
-    Raises
-    ------
-    SourceError
-        If there are no frames in the span.
-    """
+    """Keep the frames from `start` to `end` seconds, both included; raises SourceError if there are none."""
     inside = (take.times >= start - 1e-9) & (take.times <= end + 1e-9)
     if not inside.any():
         raise SourceError(
@@ -251,28 +158,10 @@ def trim(take: Take, start: float = -np.inf, end: float = np.inf) -> Take:
 
 
 def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = BLEND) -> Take:
-    """Replace a span of a take by another take on the same clock (see `shift_time`).
+    """Replace a span of a take, in seconds, by another take on the same clock (see `shift_time`).
 
-    Parameters
-    ----------
-    take : Take
-        The take.
-    insert : Take
-        The take to insert.
-    start, end : float
-        Span in seconds.
-    blend : float
-        Time in seconds, within the span and at both of its ends, over which one take blends into the other.
-
-    Returns
-    -------
-    Take
-        The combined take.
-
-    Raises
-    ------
-    SourceError
-        If `insert` has no frame in the span, or `blend` is negative.
+    `blend` is the time within the span, at both of its ends, over which one take blends into the other. Raises
+    SourceError if `insert` has no frame in the span, or `blend` is negative.
     """
     if not blend >= 0.0:
         raise SourceError("The blend cannot last {blend} s. Use 0 or more.", blend=blend)
@@ -295,19 +184,10 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
 
 
 def between(first: TrackResult, second: TrackResult, share: float) -> TrackResult:
-    """Interpolate, or extrapolate, between two results with a face.
+    """Interpolate between two results of the same source with a face, or extrapolate with a share above 1.
 
-    Parameters
-    ----------
-    first, second : TrackResult
-        Results of the same source, with a face.
-    share : float
-        Position between the two: 0 gives `first`, 1 gives `second`, and larger values continue the motion.
-
-    Returns
-    -------
-    TrackResult
-        The result, with confidence 0, as it was not tracked. Values that are unknown in either are unknown.
+    A share of 0 gives `first` and 1 `second`. The result has confidence 0, as it was not tracked; what is unknown in
+    either is unknown in it.
     """
 
     def mixed(name: str) -> FloatArray:
@@ -333,17 +213,9 @@ def between(first: TrackResult, second: TrackResult, share: float) -> TrackResul
 
 
 def at_rest(neutral: Neutral, like: TrackResult) -> TrackResult:
-    """Return the result of a neutral face.
+    """Return a neutral face looking straight ahead, at the performer's usual position, from the same source as `like`.
 
-    Parameters
-    ----------
-    like : TrackResult
-        A result with a face from the same source. If it has coefficients, those of the result are 0.
-
-    Returns
-    -------
-    TrackResult
-        The face at rest, looking straight ahead, at the performer's usual position.
+    If `like`, which has a face, has coefficients, those of the result are 0.
     """
     stated = np.isfinite(like.coefficients).all()
     scale, x, y = neutral.position
