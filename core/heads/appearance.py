@@ -62,15 +62,7 @@ class Patch:
     uv: NDArray[np.float32] | None = None
 
     def triangles(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Divide the faces into triangles of the same winding.
-
-        Returns
-        -------
-        corners : (3 T,) int64
-            Vertices of the triangles.
-        uv : (3 T, 2) float64
-            Their texture coordinates; 0 if there are none.
-        """
+        """Divide the faces into T triangles of the same winding: vertices (3 T,) and uv (3 T, 2), 0 without any."""
         faces = np.asarray(self.faces)
         uv = np.zeros((*faces.shape, 2)) if self.uv is None else np.asarray(self.uv)
         rows, places = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]
@@ -107,21 +99,9 @@ class AttachedPart:
     out: NDArray[np.float32] | None = None
 
     def posed(self, jaw: FloatArray, gaze: FloatArray, tongue: float) -> NDArray[np.float32]:
-        """Return the vertices of the part in a pose.
+        """Return the vertices (N, 3) of the part in the head frame, with the tongue out by a share from 0 to 1.
 
-        Parameters
-        ----------
-        jaw : (3, 3) float64
-            Rotation of the jaw.
-        gaze : (2, 3, 3) float64
-            Rotations of the right and the left eye.
-        tongue : float
-            How far the tongue is out, from 0 to 1.
-
-        Returns
-        -------
-        (N, 3) float32
-            Positions, in the head frame.
+        `jaw` (3, 3) is the rotation of the jaw, `gaze` (2, 3, 3) those of the right and the left eye.
         """
         turn = {"jaw": jaw, "eye_right": gaze[0], "eye_left": gaze[1]}.get(self.follows)
         rest = self.vertices if self.out is None else self.vertices + np.float32(tongue) * self.out
@@ -132,17 +112,7 @@ class AttachedPart:
 
 @dataclass(frozen=True, eq=False)
 class Appearance:
-    """The surfaces of a head and of its attached parts.
-
-    Attributes
-    ----------
-    name : str
-        Name of the head.
-    patches : tuple of Patch
-        Their faces index `HeadRig.all_vertices`.
-    parts : tuple of AttachedPart
-        Attached parts.
-    """
+    """The surfaces of a head and of its attached parts; the faces of its own `patches` index `HeadRig.all_vertices`."""
 
     name: str
     patches: tuple[Patch, ...]

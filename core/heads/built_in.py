@@ -105,17 +105,9 @@ class Head:
 
 
 def load_head(path: Path | None = None) -> Head:
-    """Load the head at `path`, by default the built-in one. Shipped heads are read once.
+    """Load the head at `path`, by default the built-in one, with read-only arrays. Shipped heads are read once.
 
-    Returns
-    -------
-    Head
-        The head; its arrays are read-only.
-
-    Raises
-    ------
-    ModelError
-        If the file is missing, damaged, or of a different version.
+    Raises ModelError if the file is missing, damaged, or of a different version.
     """
     path = HEAD_FILE if path is None else Path(path)
     return _shipped(path) if path in (HEAD_FILE, WOMAN_FILE) else _read(path)
@@ -210,17 +202,9 @@ _PHONE_REACH = np.radians((35.2, 33.0))
 
 
 def looks_of(rotations: FloatArray) -> FloatArray:
-    """Compute the coefficients for the direction of the eyes.
+    """Compute the coefficients (N, 8) of `LOOKS`, 0 to 1, for rotations (N, 2, 3, 3) of the right and the left eyeball.
 
-    Parameters
-    ----------
-    rotations : (N, 2, 3, 3) float64
-        Rotations of the right and the left eyeball.
-
-    Returns
-    -------
-    (N, 8) float64
-        Coefficients in the order of `LOOKS`, 0 to 1: shares of the angle of each unit.
+    They are shares of the angle of each unit.
     """
     forward = -rotations[..., 2]
     turned = np.stack([np.arctan2(forward[..., axis], -forward[..., 2]) for axis in (0, 1)])
@@ -229,19 +213,9 @@ def looks_of(rotations: FloatArray) -> FloatArray:
 
 
 def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
-    """Compute the direction of the eyes from their coefficients.
+    """Compute gaze (2,) and vergence in radians, as in `TrackResult`, from coefficients (8,) in the order of `LOOKS`.
 
-    Parameters
-    ----------
-    looks : (8,) float64
-        Coefficients in the order of `LOOKS`.
-
-    Returns
-    -------
-    gaze : (2,) float64
-        `(pitch, yaw)` in radians, as in `TrackResult`. The pitch is the mean of both eyes.
-    vergence : float
-        As in `TrackResult`, in radians.
+    The pitch is the mean of both eyes.
     """
     angles = np.zeros((2, 2))
     for value, (side, axis, reach) in zip(looks.tolist(), _reaches(), strict=True):
@@ -255,17 +229,9 @@ def gaze_of_eyes(eyes: FloatArray) -> tuple[FloatArray, float]:
 
 
 def looks_of_eyes(eyes: FloatArray) -> FloatArray:
-    """Compute the coefficients that a phone states for the directions of the eyes.
+    """Compute the coefficients (8,) of `LOOKS`, 0 to 1, that a phone states for the directions of the eyes.
 
-    Parameters
-    ----------
-    eyes : (2, 2) float64
-        `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`.
-
-    Returns
-    -------
-    (8,) float64
-        Coefficients in the order of `LOOKS`, 0 to 1.
+    These are `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`.
     """
     (right_down, right_in), (left_down, left_in) = (eyes * [[1.0, -1.0], [1.0, 1.0]] / _PHONE_REACH).tolist()
     ways = [left_in, -left_in, -left_down, left_down, right_in, -right_in, -right_down, right_down]

@@ -52,17 +52,9 @@ _TIME_CODES = re.compile(rb"^\s*timeCodesPerSecond\s*=\s*([0-9.]{1,20})", re.MUL
 
 
 def rate_of_file(path: Path) -> float | None:
-    """Return the frames per second at which the animation in a file was made.
+    """Return the frames per second at which the animation in a .glb, .gltf, .vrm, .abc or .usda file was made.
 
-    Parameters
-    ----------
-    path : Path
-        A .glb, .gltf, .vrm, .abc or .usda file.
-
-    Returns
-    -------
-    float or None
-        None if the file states none, has no animation, or is of another kind.
+    It is None if the file states no rate, has no animation, or is of another kind.
     """
     read = {".glb": _rate_of_gltf, ".gltf": _rate_of_gltf, ".vrm": _rate_of_gltf, ".abc": _rate_of_alembic}
     with suppress(OSError, ValueError, struct.error, IndexError):
@@ -75,12 +67,7 @@ def rate_of_file(path: Path) -> float | None:
 def gltf_of(path: Path) -> tuple[dict[str, Any], bytes]:
     """Return the JSON of a .glb, .vrm or .gltf file, and its binary chunk, b"" without one.
 
-    Raises
-    ------
-    ValueError
-        If it is damaged or too large.
-    OSError
-        If it cannot be read.
+    Raises ValueError if the file is damaged or too large, and OSError if it cannot be read.
     """
     data = read_bytes(path, MAX_GLTF)
     if not data.startswith(b"glTF"):
@@ -192,22 +179,9 @@ class MorphBind:
 
 
 def expressions_of(gltf: Mapping[str, Any]) -> dict[str, list[MorphBind]]:
-    """Return the morph targets of each expression of a VRM avatar; nothing for other files.
+    """Return the morph targets of each expression of a VRM avatar, from the JSON of its file; nothing for other files.
 
-    Parameters
-    ----------
-    gltf : mapping
-        JSON of the file.
-
-    Returns
-    -------
-    dict of str to list of MorphBind
-        Presets have the names of Facemime's key mappings.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged.
+    Presets have the names of Facemime's key mappings. Raises ValueError if the file is damaged.
     """
     extensions = as_object(gltf.get("extensions", {}), "extensions")
     found = _of_vrm1(extensions["VRMC_vrm"], gltf) if "VRMC_vrm" in extensions else _of_vrm0(extensions.get("VRM", {}))

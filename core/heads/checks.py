@@ -49,15 +49,7 @@ _MAX_OVERHANG = 0.35
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem of a head and its remedy.
-
-    Attributes
-    ----------
-    problem, remedy : Message
-        A sentence each.
-    step : str
-        Name of the step that remedies the problem; "" if there is none.
-    """
+    """A problem of a head and its remedy, a sentence each, and the step that remedies it; "" if there is none."""
 
     problem: Message
     remedy: Message
@@ -65,19 +57,7 @@ class Finding:
 
 
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
-    """Check a head for problems that would keep it from being driven well.
-
-
-    Parameters
-    ----------
-    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`.
-
-    Returns
-    -------
-    list of Finding
-        A finding per problem; empty if the head is ready.
-    """
+    """Check the arrays of a `HeadRig` for problems that would keep it from being driven well; empty if it is ready."""
     findings = []
     unique, counts = np.unique(landmarks, return_counts=True)
     if (counts > 1).any():
@@ -189,17 +169,9 @@ def _list(landmarks: IntArray) -> str:
 
 
 def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
-    """Detect shut eyes, an open mouth and a smile in a face at rest.
+    """Detect shut eyes, an open mouth and a smile in the tracker's landmarks of a face at rest.
 
-    Parameters
-    ----------
-    shape : (66, 3) float64
-        The tracker's landmarks without the pose: head frame, in outer-eye distances.
-
-    Returns
-    -------
-    tuple of Finding
-        The findings; empty for a neutral face.
+    These are (66, 3), without the pose: head frame, in outer-eye distances. A neutral face has no findings.
     """
     findings = []
     if float(eye_apertures(shape).max()) < _SHUT:

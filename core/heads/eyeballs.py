@@ -91,25 +91,10 @@ class EyeOutline:
 
 
 def eye_outline(vertices: FloatArray, landmarks: IntArray, eye: IntArray) -> EyeOutline:
-    """Fit an almond to the landmarks of an eye.
+    """Fit an almond to the landmarks of an eye, one of `EYES`; vertices and landmarks are as in `HeadRig`.
 
-    Parameters
-    ----------
-    vertices, landmarks : (V, 3), (66,) array
-        As in `HeadRig`.
-    eye : (6,) array of int
-        One of `EYES`.
-
-    Returns
-    -------
-    EyeOutline
-        An almond that meets both corners. The landmarks of the lids, which are imprecise on a mesh without rims, are
-        met as far as they agree with the usual shape of eyes.
-
-    Raises
-    ------
-    HeadError
-        If the corners coincide, or one lies above the other.
+    The almond meets both corners. The landmarks of the lids, which are imprecise on a mesh without rims, are met as far
+    as they agree with the usual shape of eyes. Raises HeadError if the corners coincide, or one lies above the other.
     """
     points = np.asarray(vertices, dtype=np.float64)[landmarks[eye]]
     width = float(np.linalg.norm(points[3] - points[0]))
@@ -152,19 +137,11 @@ def fit_eyeball(points: FloatArray) -> FloatArray:
 
 
 def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
-    """Fit a sphere to a separate eye.
+    """Fit a sphere to a separate eye, and return its centre and radius (4,), and whether lids can slide over it.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        Vertices of an eyeball, or of its front, possibly with a bulging cornea and an iris inside, in the head frame.
-
-    Returns
-    -------
-    sphere : (4,) float64
-        Centre and radius. For a flat eye, as cartoon characters have, the sphere lies behind it.
-    round : bool
-        Whether the vertices lie on the sphere, so that lids can slide over it.
+    The points (N, 3) are the vertices of an eyeball, or of its front, possibly with a bulging cornea and an iris
+    inside, in the head frame. Lids can slide over it if these lie on the sphere. For a flat eye, as cartoon characters
+    have, the sphere lies behind it.
     """
     points = np.asarray(points, dtype=np.float64)
     low, high = points.min(axis=0), points.max(axis=0)
@@ -182,18 +159,10 @@ def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
 
 
 def sphere_of_lids(points: FloatArray) -> FloatArray | None:
-    """Return the sphere around a separate eye over which its lids slide.
+    """Return the centre and radius (4,) of the sphere over which the lids of a separate eye slide; None if not round.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        As in `part_eyeball`.
-
-    Returns
-    -------
-    (4,) float64 or None
-        Centre and radius. The sphere takes in the apex of the cornea, which would otherwise show through a closed lid.
-        None for an eye that is not round.
+    The points are as in `part_eyeball`. The sphere takes in the apex of the cornea, which would otherwise show through
+    a closed lid.
     """
     sphere, is_round = part_eyeball(points)
     if not is_round:

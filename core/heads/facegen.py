@@ -55,10 +55,7 @@ class FaceGenMesh:
 def read_tri(path: Path) -> FaceGenMesh:
     """Read a `.tri` file of version 003.
 
-    Raises
-    ------
-    SourceError
-        If the file is missing, encrypted, of a different version or damaged; the message states the byte.
+    Raises SourceError, which states the byte, if the file is missing, encrypted, of a different version or damaged.
     """
     reader = _Reader(path, b"FRTRI", b"003")
     names = ("V", "T", "Q", "LV", "LS", "X", "ext", "Md", "Ms", "K")
@@ -95,22 +92,9 @@ def read_tri(path: Path) -> FaceGenMesh:
 
 
 def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float32]], ...]:
-    """Read the modes of an `.egm` file of version 002 that belongs to a mesh.
+    """Read the modes of a mesh from an `.egm` file of version 002: their names, and displacements (V, 3) at one unit.
 
-    Parameters
-    ----------
-    mesh : FaceGenMesh
-        The mesh, from `read_tri`.
-
-    Returns
-    -------
-    tuple of (str, (V, 3) float32)
-        Name of each mode, and its displacement at one unit.
-
-    Raises
-    ------
-    SourceError
-        As for `read_tri`, and if the file belongs to a mesh with another number of vertices.
+    Raises SourceError as `read_tri` does, and if the file belongs to a mesh with another number of vertices.
     """
     reader = _Reader(path, b"FREGM", b"002")
     vertices, symmetric = reader.count(Message("the vertices")), reader.count(Message("the symmetric modes"))
@@ -134,10 +118,7 @@ def read_egm(path: Path, mesh: FaceGenMesh) -> tuple[tuple[str, NDArray[np.float
 def read_obj(path: Path) -> FaceGenMesh:
     """Read vertices, faces and texture coordinates of a Wavefront OBJ in the order of the file, and ignore the rest.
 
-    Raises
-    ------
-    SourceError
-        If the file is missing, or a line cannot be parsed; the message states the line.
+    Raises SourceError if the file is missing, or a line cannot be parsed; the message states the line.
     """
     vertices: list[list[float]] = []
     texture: list[list[float]] = []

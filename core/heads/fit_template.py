@@ -79,8 +79,6 @@ class FittedTemplate:
         The face that was seen in this view.
     marks : mapping
         Marked vertex of the view, by landmark.
-    pose : Pose
-        Alignment of the template.
     bent : (T, 3) float64
         Vertices of the bent template.
     residual : float
@@ -105,24 +103,11 @@ class FittedTemplate:
 
 
 def fit_template(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> FittedTemplate:
-    """Fit the template to a mesh or to its head.
+    """Fit the template to a mesh of vertices (V, 3) or to its head, with the marked vertices by landmark, if any.
 
     Without marks, the attitude is the one in which a face is seen or, if none is clearly seen, the one that bends the
-    template least.
-
-    Parameters
-    ----------
-    places : (V, 3) float64
-        Vertices of the mesh.
-    faces : (F, K) int
-        Vertices of each face, padded with -1.
-    picked : mapping of int to int
-        Marked vertices by landmark (position in the 66); may be empty.
-
-    Raises
-    ------
-    HeadError
-        If no part of the mesh is near the skin of the template in any attitude, or nothing looks like a face.
+    template least. Raises HeadError if no part of the mesh is near the skin of the template in any attitude, or nothing
+    looks like a face.
     """
     seen: FittedTemplate | None = None
     if not picked and (found := seen_view(places, faces)) is not None:

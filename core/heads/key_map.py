@@ -321,22 +321,10 @@ def _by_name(keys: tuple[str, ...], known: frozenset[str]) -> dict[str, list[str
 
 
 def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], start: KeyMap) -> KeyMap:
-    """Learn the gains of shape keys from frames that the user posed.
+    """Learn the gains of K shape keys from P frames that the user posed (equation 9.6).
 
-    Parameters
-    ----------
-    coefficients : (P, 52) array
-        Coefficients of the posed frames.
-    poses : (P, K) array
-        Values of the keys in these frames.
-    keys : sequence of str
-        Names of the keys.
-    start : KeyMap
-        The given table, whose offsets are kept.
-
-    Notes
-    -----
-    Equation 9.6. A few poses leave most gains undetermined; these keep their given values.
+    From coefficients (P, 52) and the values of the keys (P, K). A few poses leave most gains undetermined; these keep
+    the values of `start`, as all its offsets do.
     """
     names = COEFFICIENTS
     coefficients = np.asarray(coefficients, dtype=np.float64)

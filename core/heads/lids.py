@@ -103,20 +103,7 @@ class EyeCut:
         return self.outline.from_local(self._onto_sphere(self.outline.to_local(points)))
 
     def behind_lids(self, points: FloatArray, distance: float) -> FloatArray:
-        """Return points on the sphere of the eye, outside its rim.
-
-        Parameters
-        ----------
-        points : (N, 3) float64
-            Positions of the rim, in the frame of the mesh.
-        distance : float
-            Distance outside the rim, in eye widths.
-
-        Returns
-        -------
-        (N, 3) float64
-            Positions, in the frame of the mesh.
-        """
+        """Return points (N, 3) on the sphere of the eye, outside the points of its rim by a distance in eye widths."""
         local = self.outline.to_local(points)
         # Outward from the nearest point of the eye's middle line.
         spine = np.zeros_like(local)
@@ -138,17 +125,9 @@ class EyeCut:
 
 
 def eyes_joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> list[bool]:
-    """Return whether eyes are one skin with their lids, that is, whether paths from lid to lid lead straight over them.
+    """Return for each of `EYES` whether it is one skin with its lids, so that paths from lid to lid cross it.
 
-    Parameters
-    ----------
-    vertices, faces, landmarks : (V, 3), (F, K), (66,) array
-        As in `HeadRig`.
-
-    Returns
-    -------
-    list of bool
-        One for each of `EYES`.
+    Arrays are as in `HeadRig`.
     """
     return [_joined(np.asarray(vertices, dtype=np.float64), np.asarray(faces), landmarks, eye) for eye in EYES]
 
@@ -177,20 +156,7 @@ def _joined(vertices: FloatArray, faces: IntArray, landmarks: IntArray, eye: Int
 
 
 def coarse_edges(graph: SurfaceGraph, outline: EyeOutline) -> NDArray[np.intp]:
-    """Find edges near an eye that are too long for lids to roll over it.
-
-    Parameters
-    ----------
-    graph : SurfaceGraph
-        Graph of the head.
-    outline : EyeOutline
-        Outline of the eye.
-
-    Returns
-    -------
-    (E, 2) int
-        Vertices of the edges.
-    """
+    """Find the edges (E, 2) near an eye that are too long for lids to roll over it."""
     ends = outline.to_local(graph.vertices[graph.edges])
     long = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1) > _MAX_EDGE
     middle = ends.mean(axis=1)
@@ -199,27 +165,8 @@ def coarse_edges(graph: SurfaceGraph, outline: EyeOutline) -> NDArray[np.intp]:
 
 
 def cut_eye(vertices: FloatArray, faces: IntArray, outline: EyeOutline) -> EyeCut:
-    """Find where to cut the skin along an almond.
+    """Find where to cut the skin along an almond; raises HeadError if the mesh is too coarse there, or has holes.
 
-    Parameters
-    ----------
-    vertices, faces : (V, 3), (F, K) array
-        As in `HeadRig`.
-    outline : EyeOutline
-        Outline of the eye.
-
-    Returns
-    -------
-    EyeCut
-        The cut.
-
-    Raises
-    ------
-    HeadError
-        If the mesh is too coarse at the eye, or has holes there.
-
-    Notes
-    -----
     The result does not depend on the order of vertices or faces, and the cut of a mirrored mesh is the mirrored cut.
     """
     graph = SurfaceGraph(vertices, faces)

@@ -108,17 +108,9 @@ _SKIN = _words(r"skin")
 
 
 def named_part(names: Sequence[str]) -> Part | None:
-    """Return the part that names describe, or None. Teeth count as upper and eyes as left.
+    """Return the part that names, the most specific first, describe, or None. Teeth count as upper and eyes as left.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Names, the most specific first.
-
-    Returns
-    -------
-    Part or None
-        The part. A name of several parts, such as that of an object with all of them, decides only if no other does.
+    A name of several parts, such as that of an object with all of them, decides only if no other does.
     """
     found = [parts_in(name) for name in names]
     certain = [parts[0] for parts in found if len(parts) == 1] or [parts[0] for parts in found if parts]
@@ -179,24 +171,10 @@ class FaceBones:
 
 
 def find_bones(names: Sequence[str], weights: Mapping[str, float]) -> FaceBones:
-    """Find the bones of head, eyes and jaw.
+    """Find the bones of head, eyes and jaw by name, or the head by the share of the face's skin that each bone moves.
 
-    Parameters
-    ----------
-    names : sequence of str
-        Bones of the armature.
-    weights : mapping of str to float
-        Share of the skin of the face that each bone moves, for rigs with uninformative names.
-
-    Returns
-    -------
-    FaceBones
-        Their names. Of several candidates, the one with the fewest other words in its name.
-
-    Notes
-    -----
     Names are split into words. Case, side and the prefixes of Mixamo, VRM, 3ds Max, Rigify, Auto-Rig and MetaHuman are
-    ignored.
+    ignored. Of several candidates, the one with the fewest other words in its name is taken.
     """
     head = _best(names, _HEADS, set()) or max(weights, key=lambda name: weights[name], default="")
     return FaceBones(

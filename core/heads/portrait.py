@@ -89,17 +89,7 @@ class Portrait:
     def with_eyes(self, centres: FloatArray, reach: float) -> Portrait:
         """Draw an eye into each empty socket, because the tracker takes sockets for shut lids.
 
-        Parameters
-        ----------
-        centres : (2, 2) float64
-            Middles of the eyes in pixels.
-        reach : float
-            Outer-eye distance in pixels.
-
-        Returns
-        -------
-        Portrait
-            The portrait with eyes.
+        The middles of the eyes (2, 2) and `reach`, the outer-eye distance, are in pixels.
         """
         image = self.image.copy()
         _, label = cv2.connectedComponents(self.hollow.astype(np.uint8), connectivity=4)
@@ -148,21 +138,10 @@ class Sitter:
     def portrait(
         self, centre: FloatArray | None = None, reach: float = 0.0, turn: FloatArray | None = None
     ) -> Portrait:
-        """Draw the mesh.
+        """Draw the mesh after a rotation by `turn` (3, 3), by default all of it.
 
-        Parameters
-        ----------
-        centre : (2,) array, optional
-            Middle of the portrait, in x and y of the rotated mesh; by default the portrait shows the whole mesh.
-        reach : float
-            Distance from the middle to the sides, in the unit of the mesh.
-        turn : (3, 3) array, optional
-            Rotation of the mesh before it is drawn.
-
-        Returns
-        -------
-        Portrait
-            The portrait of the rotated mesh.
+        `centre` (2,) is the middle of the portrait, in x and y of the rotated mesh, and `reach` the distance from there
+        to the sides, in the unit of the mesh.
         """
         places, normals = (values if turn is None else values @ turn.T for values in (self.places, self._normals))
         if centre is None:
@@ -204,23 +183,10 @@ def _volume(places: FloatArray, triangles: IntArray) -> float:
 def lids_seen(
     skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray, *, left: bool
 ) -> NDArray[np.intp] | None:
-    """Find the landmarks of an eye on the skin.
+    """Find the six landmarks of an eye on the skin, in the order of `EYES`; None if the eye is shut or hidden.
 
-    Parameters
-    ----------
-    skin : (V, 3) array
-        Vertices of the skin, upright and facing the viewer, in the head frame.
-    skin_faces : (F, K) array of int
-        Its faces, padded with -1.
-    eye, eye_faces : (E, 3), (G, K) array
-        Vertices and faces of the pieces of the eye.
-    left : bool
-        Whether it is the character's left eye.
-
-    Returns
-    -------
-    (6,) intp or None
-        Vertices of the skin in the order of `EYES`; None if the eye is shut or hidden.
+    The vertices (V, 3) of the skin and (E, 3) of the pieces of the eye are upright and facing the viewer, in the head
+    frame. `left` is the character's own left.
     """
     look = _look(skin, skin_faces, eye, eye_faces)
     # Where else an eyeball is seen, as through a gap of the mesh, is smaller than the eye between its lids.
@@ -240,18 +206,7 @@ def lids_seen(
 
 
 def eye_openness(skin: FloatArray, skin_faces: IntArray, eye: FloatArray, eye_faces: IntArray) -> float:
-    """Measure how much of an eye is seen from the front.
-
-    Parameters
-    ----------
-    skin, skin_faces, eye, eye_faces : array
-        As for `lids_seen`.
-
-    Returns
-    -------
-    float
-        Visible area as a share of the squared size of the eye.
-    """
+    """Measure the area of an eye that is seen from the front, as a share of the squared size of the eye."""
     look = _look(skin, skin_faces, eye, eye_faces)
     return float((look.owner >= look.skin).sum() / look.size**2)
 

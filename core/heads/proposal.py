@@ -60,17 +60,9 @@ class _Slit:
 
 
 def propose_regions(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> FloatArray:
-    """Propose the weights of the regions.
+    """Propose the weights (3, V) of the regions upper, middle and lower, 0 to 1, for arrays as in `HeadRig`.
 
-    Parameters
-    ----------
-    vertices, faces, landmarks : (V, 3), (F, K), (66,) array
-        As in `HeadRig`.
-
-    Returns
-    -------
-    (3, V) float64
-        Weights of the regions upper, middle and lower, 0 to 1. They sum to at most 1, and to 0 where nothing moves.
+    They sum to at most 1, and to 0 where nothing moves.
     """
     points = np.asarray(vertices, dtype=np.float64)[landmarks]
     unit = outer_eye_distance(points)

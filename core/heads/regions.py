@@ -94,19 +94,11 @@ def membership() -> NDArray[np.bool_]:
 
 
 def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArray | None) -> FloatArray:
-    """Convert painted weights to the paper's sets of vertices, whose borders belong to both sides.
+    """Convert painted weights to the paper's sets of vertices, whose borders belong to both sides: weights of 0 and 1.
 
-    Parameters
-    ----------
-    region_weights, landmarks, faces : (3, V), (66,), (F, K) array
-        As in `HeadRig`. Without faces, only landmarks lie on a border.
-
-    Returns
-    -------
-    (3, V) float64
-        Weights of 0 and 1. A painted vertex belongs to the region with the largest weight. Of two neighbours in
-        different regions, the one that is painted more evenly belongs to both. The vertex of a landmark belongs to the
-        regions of the landmark, so that these meet it exactly.
+    A painted vertex belongs to the region with the largest weight. Of two neighbours in different regions, the one that
+    is painted more evenly belongs to both. The vertex of a landmark belongs to the regions of the landmark, so that
+    these meet it exactly. Arrays are as in `HeadRig`; without faces, only landmarks lie on a border.
     """
     painted = np.asarray(region_weights, dtype=np.float64)
     moving = painted.any(axis=0)
@@ -125,38 +117,18 @@ def sharp_regions(region_weights: FloatArray, landmarks: IntArray, faces: IntArr
 
 
 def own_weights(region_weights: FloatArray, landmarks: IntArray) -> FloatArray:
-    """Sum the weights that the vertex of each landmark has in the landmark's own regions.
-
-    Parameters
-    ----------
-    region_weights, landmarks : (3, V), (66,) array
-        As in `HeadRig`.
-
-    Returns
-    -------
-    (66,) float64
-        The sums; 1 for a vertex that follows its landmark exactly.
-    """
+    """Sum the weights of each landmark's vertex in the landmark's regions (66,): 1 where it follows exactly."""
     return np.asarray((np.asarray(region_weights, dtype=np.float64)[:, landmarks] * membership()).sum(axis=0))
 
 
 def hold_landmarks(
     region_weights: FloatArray, vertices: FloatArray, landmarks: IntArray, held: NDArray[np.bool_] | None = None
 ) -> FloatArray:
-    """Change weights around landmarks so that the vertex of each follows its landmark exactly.
+    """Change weights around the `held` landmarks, by default all, so that the vertex of each follows it exactly.
 
-    Parameters
-    ----------
-    region_weights, vertices, landmarks : (3, V), (V, 3), (66,) array
-        As in `HeadRig`, with weights whose sum is at most 1.
-    held : (66,) array of bool, optional
-        The landmarks for which weights are changed; by default all.
-
-    Returns
-    -------
-    (3, V) float64
-        Weights that are 0 at the vertex of each landmark in regions to which the landmark does not belong, and sum to 1
-        in the others. They change within `_HOLD` outer-eye distances of landmarks for which this was not the case.
+    Weights (3, V) are then 0 at the vertex of each landmark in regions to which the landmark does not belong, and sum
+    to 1 in the others. They change within `_HOLD` outer-eye distances of landmarks for which this was not the case.
+    Arrays are as in `HeadRig`, with weights whose sum is at most 1.
     """
     painted = np.asarray(region_weights, dtype=np.float64)
     places = np.asarray(vertices, dtype=np.float64)
@@ -176,20 +148,9 @@ def hold_landmarks(
 
 
 def region_sigmas(landmarks: FloatArray, kernel: Kernel) -> FloatArray:
-    """Compute the width of the kernel in each region of a head.
+    """Compute the sigma of the kernel in each of the three regions, in the unit of the landmarks (66, 3) at rest.
 
-    Parameters
-    ----------
-    landmarks : (66, 3) float64
-        Rest positions.
-    kernel : Kernel
-        The kernel.
-
-    Returns
-    -------
-    (3,) float64
-        Sigma of each region, in the unit of the landmarks. It depends on all landmarks, whichever are control points,
-        so that fewer points do not stiffen the skin.
+    It depends on all landmarks, whichever are control points, so that fewer points do not stiffen the skin.
     """
     widths = [
         kernel.width(distances(points, points), region.spacing_factor)
@@ -215,22 +176,11 @@ _NORMAL_DISTANCE = 0.1
 def mirror_regions(
     vertices: FloatArray, faces: IntArray, landmarks: IntArray, weights: FloatArray, source: Side
 ) -> FloatArray:
-    """Copy the weights of one half of a head to the other, mirrored.
+    """Copy the weights of the `source` half of a head, from its own point of view, to the other half, mirrored.
 
     Each vertex of the other half takes the weights of the vertex whose mirror image is nearest and faces the same way.
-    The plane of symmetry is that of the landmarks, so the mesh need not be symmetric or upright.
-
-    Parameters
-    ----------
-    vertices, faces, landmarks, weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`.
-    source : {"left", "right"}
-        The half that is kept, from the head's own point of view.
-
-    Returns
-    -------
-    (3, V) array
-        The new weights.
+    The plane of symmetry is that of the landmarks, so the mesh need not be symmetric or upright. Arrays are as in
+    `HeadRig`.
     """
     place = np.asarray(vertices, dtype=np.float64)
     points = place[landmarks]
@@ -250,22 +200,10 @@ def mirror_regions(
 
 
 def smooth_regions(vertices: FloatArray, faces: IntArray, weights: FloatArray, repeat: int = 1) -> FloatArray:
-    """Smooth weights: move each halfway to the mean of its neighbours along edges.
+    """Smooth weights (3, V): move each halfway to the mean of its neighbours along edges, `repeat` times.
 
     Lips and lids stay apart, as no edge joins them. The sum of the weights of a vertex never exceeds the largest sum
     among itself and its neighbours.
-
-    Parameters
-    ----------
-    vertices, faces, weights : (V, 3), (F, K), (3, V) array
-        As in `HeadRig`; any frame.
-    repeat : int
-        Number of passes.
-
-    Returns
-    -------
-    (3, V) array
-        The new weights.
     """
     edges = SurfaceGraph(vertices, faces).edges
     degree = np.bincount(edges.reshape(-1), minlength=len(vertices))

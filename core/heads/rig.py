@@ -70,18 +70,7 @@ class FaceParts:
 
 
 def same_parts(first: FaceParts | None, second: FaceParts | None) -> bool:
-    """Return whether two faces have the same parts.
-
-    Parameters
-    ----------
-    first, second : FaceParts or None
-        The parts; None for a face that is all skin.
-
-    Returns
-    -------
-    bool
-        Whether kinds, vertices and faces are equal.
-    """
+    """Return whether two faces have parts of the same kinds, vertices and faces; None is a face that is all skin."""
     if first is None or second is None:
         return first is second
     return all(np.array_equal(getattr(first, name), getattr(second, name)) for name in ("kinds", "others", "faces"))
@@ -114,18 +103,9 @@ class Skin:
 def skin_of(
     vertices: FloatArray, faces: IntArray, others: NDArray[np.bool_] | None = None, landmarks: IntArray | None = None
 ) -> Skin:
-    """Find the skin of a mesh.
+    """Find the skin of a mesh, without the vertices that `others` (V,) marks as those of other parts.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Positions, in any unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    others : (V,) bool, optional
-        Whether a vertex belongs to another part.
-    landmarks : (66,) array of int, optional
-        Vertices of the landmarks. Slits that were cut along lids and lips then stay open.
+    If the landmarks are given, slits that were cut along lids and lips stay open.
     """
     faces = np.asarray(faces)
     skin = np.ones(len(vertices), dtype=bool) if others is None else ~np.asarray(others)

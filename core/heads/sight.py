@@ -66,23 +66,9 @@ class Sight:
 
 
 def look(places: FloatArray, faces: IntArray) -> Sight | None:
-    """Look for a face on a mesh from in front.
+    """Look for a face on a mesh from in front, and return the most certain one, or None if there is none.
 
-    Parameters
-    ----------
-    places : (V, 3) float64
-        Vertices, in any unit; the viewer looks along z, and y is down.
-    faces : (F, K) int
-        Vertices of each face, padded with -1.
-
-    Returns
-    -------
-    Sight or None
-        The most certain face; None if there is none.
-
-    Notes
-    -----
-    It takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
+    The viewer looks along z, and y is down. It takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
     """
     sitter = Sitter(places, faces)
     if not np.ptp(places, axis=0)[:2].max() > 0.0 or not len(sitter.triangles):

@@ -217,24 +217,9 @@ def _edges(faces: IntArray) -> NDArray[np.intp]:
 
 
 def lip_line(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
-    """Find a line of edges between the lips.
+    """Find a line of edges between the lips, from the right corner of the mouth to the left one, as vertices (N,).
 
-    Parameters
-    ----------
-    graph : SurfaceGraph
-        Graph of the head.
-    landmarks : (66,) array of int
-        Vertex of each landmark.
-
-    Returns
-    -------
-    (N,) int
-        Vertices from the right corner of the mouth to the left one.
-
-    Raises
-    ------
-    HeadError
-        If no line of edges leads along the skin from corner to corner, or it has too few vertices.
+    Raises HeadError if no line of edges leads along the skin from corner to corner, or it has too few vertices.
     """
     right, left = (int(v) for v in landmarks[MOUTH_CORNERS])
     points = graph.vertices[landmarks]
@@ -263,19 +248,9 @@ def rim_landmarks(points: FloatArray) -> NDArray[np.intp]:
 
 
 def nearest_at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np.intp]:
-    """Select the points of a line that are nearest to given shares of its length.
+    """Select the points of a line (N, 3) nearest to S ascending shares of its length: different ones, and no ends.
 
-    Parameters
-    ----------
-    points : (N, 3) float64
-        The line, with ``N >= S + 2``.
-    shares : sequence of float
-        Ascending shares of the length, S of them.
-
-    Returns
-    -------
-    (S,) int
-        Different indices, none of them an end.
+    There must be at least S + 2 points.
     """
     steps = np.linalg.norm(np.diff(points, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(steps)]) / max(float(steps.sum()), 1e-12)

@@ -73,25 +73,11 @@ class Piece:
 
 
 def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None]:
-    """Assign the pieces of a character's face to parts.
+    """Assign all pieces of the meshes around a face to parts; None for one with both rows of teeth (see `lower_row`).
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        All pieces of the meshes around the face.
-    points : (66, 3) array
-        Landmarks, in the head frame.
-
-    Returns
-    -------
-    list of Part or None
-        The part of each piece; None for a piece that has both rows of teeth, which `lower_row` divides.
-
-    Notes
-    -----
-    Names decide first, as they were given by the maker of the character. Without one the place decides: an eye lies
-    behind the lids, teeth lie behind the lips, and a piece close to moving skin rides on it. All else rides on the
-    head.
+    Names decide first, as they were given by the maker of the character. Without one the place relative to the
+    landmarks `points` (66, 3) decides, in the head frame: an eye lies behind the lids, teeth lie behind the lips, and a
+    piece close to moving skin rides on it. All else rides on the head.
     """
     unit = outer_eye_distance(points)
     middle = np.asarray(points, dtype=np.float64)[MOUTH_CORNERS].mean(axis=0)
@@ -117,20 +103,8 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
 def lower_row(vertices: FloatArray, faces: IntArray, points: FloatArray) -> NDArray[np.bool_]:
     """Find the vertices that move with the lower teeth in a piece with both rows, such as gums joined to the tongue.
 
-    Parameters
-    ----------
-    vertices : (N, 3) array
-        Positions, in the head frame.
-    faces : (F, K) array of int
-        Faces of the piece, padded with -1.
-    points : (66, 3) array
-        Landmarks, in the head frame.
-
-    Returns
-    -------
-    (N,) bool
-        Whether the lowest vertices are nearer along the surface than the highest. A tongue lies above the edge of the
-        lower teeth, but grows from below.
+    They are nearer along the surface to the lowest vertices than to the highest. A tongue lies above the edge of the
+    lower teeth, but grows from below. Vertices (N, 3) and landmarks `points` (66, 3) are in the head frame.
     """
     height = np.asarray(vertices)[:, 1]
     ends = _END * float(np.ptp(height))

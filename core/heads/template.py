@@ -95,20 +95,7 @@ class Surface:
         self._points = NearestPoints(self._key(places, self.normals))
 
     def nearest(self, places: FloatArray, normals: FloatArray) -> NDArray[np.intp]:
-        """Find the nearest vertices that face the same way.
-
-        Parameters
-        ----------
-        places : (N, 3) float64
-            Positions in the frame and unit of the mesh.
-        normals : (N, 3) float64
-            Unit normals.
-
-        Returns
-        -------
-        (N,) int
-            The nearest vertices.
-        """
+        """Find the nearest vertices (N,) that face the same way as places (N, 3) with unit normals (N, 3)."""
         found, _ = self._points.query(self._key(places, normals))
         return found[:, 0]
 
@@ -135,17 +122,7 @@ Pose = tuple[float, FloatArray, FloatArray]
 def rough_poses(template: Template, surface: Surface) -> list[tuple[float, Pose]]:
     """Align the template with a mesh from several starts, roughly and without marks.
 
-    Parameters
-    ----------
-    template : Template
-        The template.
-    surface : Surface
-        The mesh.
-
-    Returns
-    -------
-    list of (float, Pose)
-        The distance and the similarity of each, as from `follow`, the smallest distance first.
+    The distances and similarities are as from `follow`, the smallest distance first.
     """
     low, high = surface.places.min(axis=0), surface.places.max(axis=0)
     coarse = template.skin[::_COARSE]
@@ -165,15 +142,7 @@ def rough_poses(template: Template, surface: Surface) -> list[tuple[float, Pose]
 
 
 def pose_from_shape(template: Template, surface: Surface) -> Pose:
-    """Return the similarity that aligns the template best with a mesh, without marks.
-
-    Parameters
-    ----------
-    template : Template
-        The template.
-    surface : Surface
-        The mesh.
-    """
+    """Return the similarity that aligns the template best with a mesh, without marks."""
     found = rough_poses(template, surface)[:_PURSUED]
     skin = template.skin[::2]
     return min((follow(template, surface, pose, skin) for _, pose in found), key=lambda pair: pair[0])[1]
@@ -184,25 +153,9 @@ def follow(
 ) -> tuple[float, Pose]:
     """Align the template with a mesh by iterated closest points (Besl & McKay 1992), without the worst fifth of pairs.
 
-    Parameters
-    ----------
-    template : Template
-        The template.
-    surface : Surface
-        The mesh.
-    pose : Pose
-        Start of the iteration.
-    skin : (N,) int
-        Vertices of the template to use.
-    steps : int
-        Largest number of steps; fewer are needed if the pairs stay the same.
-
-    Returns
-    -------
-    distance : float
-        Mean distance to the mesh, in outer-eye distances; each is counted as at most 0.3.
-    pose : Pose
-        The similarity after the last step.
+    `skin` are the vertices of the template to use. There are at most `steps` steps from `pose`, fewer if the pairs stay
+    the same. Returns the mean distance to the mesh in outer-eye distances, each counted as at most 0.3, and the last
+    similarity.
     """
     before: NDArray[np.intp] | None = None
     for _ in range(steps):
@@ -220,22 +173,9 @@ def follow(
 
 
 def similarity(source: FloatArray, target: FloatArray) -> Pose:
-    """Fit the least-squares similarity between two sets of points (Umeyama 1991).
+    """Fit the least-squares similarity from points (N, 3) to corresponding ones (Umeyama 1991).
 
-    Parameters
-    ----------
-    source, target : (N, 3) float64
-        Corresponding points.
-
-    Returns
-    -------
-    Pose
-        The similarity from `source` to `target`.
-
-    Raises
-    ------
-    HeadError
-        If the points lie on one line, or form no face.
+    Raises HeadError if the points lie on one line, or form no face.
     """
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     a, b = source - from_centre, target - to_centre

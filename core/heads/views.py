@@ -66,21 +66,9 @@ class View:
 
 
 def views_of(places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Iterator[View]:
-    """Yield the views in which the mesh may be a head; with marks there is only one.
+    """Yield the views in which the mesh may be a head, the upright one that faces the viewer first.
 
-    Parameters
-    ----------
-    places : (V, 3) float64
-        Vertices of the mesh.
-    faces : (F, K) int
-        Vertices of each face, padded with -1.
-    picked : mapping of int to int
-        Marked vertices by landmark; may be empty.
-
-    Yields
-    ------
-    View
-        The views, the upright one that faces the viewer first.
+    With marked vertices, by landmark, there is only one.
     """
     for attitude in _ATTITUDES[:1] if picked else _ATTITUDES:
         turned = places @ attitude.T
@@ -90,17 +78,9 @@ def views_of(places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> 
 
 
 def seen_view(places: FloatArray, faces: IntArray) -> tuple[View, Sight] | None:
-    """Find the view in which the face is seen most clearly.
+    """Find the view in which the face is seen most clearly, of the head alone if the mesh has a body.
 
-    Parameters
-    ----------
-    places, faces
-        As for `views_of`.
-
-    Returns
-    -------
-    tuple of View and Sight, or None
-        The view, of the head alone if the mesh has a body, and the face; None if no face is seen in any.
+    It is None if no face is seen in any.
     """
     best: tuple[View, Sight] | None = None
     for view in views_of(places, faces, {}):

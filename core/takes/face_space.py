@@ -163,8 +163,7 @@ _TRUST = _trust()
 
 @lru_cache(maxsize=1)
 def load_face_space() -> FaceSpace:
-    """Read the shipped face space, once; raises ModelError if the file is missing, damaged, or of a different version.
-    """
+    """Read the shipped face space, once; raises ModelError if it is missing, damaged, or of a different version."""
     with open_shipped(FACE_SPACE_FILE, FORMAT) as archive:
         return FaceSpace(
             mean=archive.floats("mean", (N_LANDMARKS, 3)),

@@ -136,8 +136,7 @@ class TakeRecorder:
         return len(self._times)
 
     def append(self, time: float, result: TrackResult) -> None:
-        """Add the result of a frame, whose time in seconds must increase from call to call; raises ValueError if not.
-        """
+        """Add the result of a frame; raises ValueError if its time in seconds does not increase from call to call."""
         check_increase(self._times[-1] if self._times else -np.inf, time)
         self._times.append(time)
         self._results.append(result)
