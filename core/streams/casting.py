@@ -50,20 +50,11 @@ class Role:
 
 
 class Casting:
-    """Assigns a sender to each head.
+    """Assigns a sender to each head; `roles` are what each sender drives.
 
-    A head follows the sender that was chosen for it. Of the other heads, the first follows the first sender that comes,
-    the second the second, and so on; while there are fewer senders, the first one drives the remaining heads.
-
-    Parameters
-    ----------
-    wanted : sequence of str
-        For each head, the address or name of its sender; "" if none was chosen.
-
-    Attributes
-    ----------
-    roles : list of Role
-        What each sender drives.
+    A head follows the sender whose address or name is `wanted` for it. Of the other heads, for which it is "", the
+    first follows the first sender that comes, the second the second, and so on; while there are fewer senders, the
+    first one drives the remaining heads.
     """
 
     def __init__(self, wanted: tuple[str, ...] = ("",)) -> None:
@@ -92,14 +83,8 @@ class Casting:
         self._share()
 
     def update(self, heard: Mapping[FaceName, float], now: float) -> None:
-        """Follow the senders that are there.
-
-        Parameters
-        ----------
-        heard : mapping
-            Time in seconds when each face was last heard of, in the order of arrival.
-        now : float
-            Time in seconds.
+        """Follow the senders that are there, by the time in seconds when each face was last heard of, in order of
+        arrival.
         """
         waiting = False
         for role in self.roles:

@@ -65,22 +65,7 @@ class Incoming:
 
 
 def incoming(sender: str, rate: float, face: FaceValues | TrackResult | None) -> Incoming:
-    """Return what a sender sends.
-
-    Parameters
-    ----------
-    sender : str
-        Address and name of the sender.
-    rate : float
-        Frames per second.
-    face : FaceValues, TrackResult or None
-        Its newest frame; None for no face.
-
-    Returns
-    -------
-    Incoming
-        The same as numbers for a table.
-    """
+    """Return what a sender, named by address and name, sends: its newest frame, or None for no face, as numbers."""
     rotation, coefficients = np.zeros(3), np.full(N_COEFFICIENTS, np.nan)
     if isinstance(face, TrackResult) and face.found:
         rotation, coefficients = face.pose[1:4], face.coefficients
@@ -104,13 +89,7 @@ def _table(one: Incoming) -> str:
 
 
 class Diagnosis:
-    """Collects why packets are not accepted, and says what to change.
-
-    Parameters
-    ----------
-    settings : StreamSettings
-        Settings of the stream, which have been checked.
-    """
+    """Collects why packets are not accepted, and says what to change in the settings, which have been checked."""
 
     def __init__(self, settings: StreamSettings) -> None:
         self._settings = settings
@@ -129,15 +108,7 @@ class Diagnosis:
             self._say(Message(faceless, host=address[0]), now)
 
     def refuse(self, error: PacketError, data: bytes, address: Address, now: float) -> None:
-        """Note a packet that was not accepted.
-
-        Parameters
-        ----------
-        address : (str, int)
-            Its sender.
-        now : float
-            Time in seconds on any clock.
-        """
+        """Note a packet that was not accepted, with its sender and the time in seconds on any clock."""
         if isinstance(error, RefusedError):
             if text := self._refusal(error.reason, address[0]):
                 self._say(text, now)
@@ -218,18 +189,7 @@ class Diagnosis:
 
 
 def recognise(data: bytes, settings: StreamSettings) -> str | None:
-    """Recognise the protocol of a packet.
-
-    Parameters
-    ----------
-    settings : StreamSettings
-        Settings of the stream, whose own protocol is left out.
-
-    Returns
-    -------
-    str or None
-        Name of the protocol in `PROTOCOLS`; None for any other.
-    """
+    """Return which of `PROTOCOLS` a packet follows other than the one that is set; None if none."""
     mine = PROTOCOLS[settings.protocol]
     if data.startswith(MAGIC) and not mine.motion_port:
         return next(name for name, protocol in PROTOCOLS.items() if protocol.motion_port)

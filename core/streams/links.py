@@ -42,47 +42,17 @@ class Link:
         """Open the link, unless it is open; SourceError if it cannot be used."""
 
     def receive(self, now: float) -> tuple[bytes, Address] | None:
-        """Return the next packet and its sender, or None if nothing has come yet.
+        """Return the next packet and its sender, or None if nothing has come yet; `now` is in seconds on any clock.
 
-        Parameters
-        ----------
-        now : float
-            Time in seconds on any clock.
-
-        Returns
-        -------
-        (str, int)
-            Address of the sender.
-
-        Raises
-        ------
-        SourceError
-            If another computer answers than the intended sender.
+        Raises SourceError if another computer answers than the intended sender.
         """
         raise NotImplementedError
 
     def reply(self, data: bytes, address: Address) -> None:
-        """Send a packet back, if senders need answers and that is possible without waiting.
-
-        Parameters
-        ----------
-        address : (str, int)
-            Address of the sender to answer.
-        """
+        """Send a packet back, if senders need answers and that is possible without waiting."""
 
     def is_lost(self, address: Address) -> bool:
-        """Return whether the connection to a sender is lost.
-
-        Parameters
-        ----------
-        address : (str, int)
-            Address of a sender.
-
-        Returns
-        -------
-        bool
-            Whether nothing can be sent to it; False for datagrams, which need no connection.
-        """
+        """Return whether nothing can be sent to a sender; False for datagrams, which need no connection."""
         return False
 
     def waits(self) -> tuple[list[socket.socket], list[socket.socket]]:
@@ -103,15 +73,7 @@ class _Listening(Link):
 
 
 class DatagramLink(_Listening):
-    """Datagrams on a port of this computer.
-
-    Parameters
-    ----------
-    host : str
-        Address of this computer to listen on.
-    port : int
-        Port to listen on.
-    """
+    """Datagrams on a port and an address of this computer."""
 
     largest = MAX_DATAGRAM
 
@@ -164,15 +126,7 @@ class DatagramLink(_Listening):
 
 
 class ConnectionsLink(_Listening):
-    """Messages over TCP from senders that connect to this computer. Each message follows its length.
-
-    Parameters
-    ----------
-    host : str
-        Address of this computer to listen on.
-    port : int
-        Port to listen on.
-    """
+    """Messages over TCP from senders that connect to a port of this computer. Each message follows its length."""
 
     largest = _MAX_MESSAGE
 
@@ -239,13 +193,7 @@ class ConnectionsLink(_Listening):
 
 
 class Connection:
-    """A connected sender, and the received part of its next message.
-
-    Parameters
-    ----------
-    connected : socket.socket
-        Socket that does not block.
-    """
+    """A connected sender on a socket that does not block, and the received part of its next message."""
 
     def __init__(self, connected: socket.socket) -> None:
         self.socket, self._data = connected, bytearray()
@@ -285,21 +233,9 @@ class Connection:
 
 
 def call(host: str, port: int) -> tuple[socket.socket, Address]:
-    """Begin to connect to another computer, without waiting.
+    """Begin to connect to another computer, and return a socket that does not block, and the numeric address.
 
-    Returns
-    -------
-    socket.socket
-        Socket that does not block; see `has_answered`.
-    (str, int)
-        Numeric address.
-
-    Raises
-    ------
-    SourceError
-        If the computer is unknown.
-    OSError
-        If it cannot be reached.
+    See `has_answered`. Raises SourceError if the computer is unknown, and OSError if it cannot be reached.
     """
     family, address = resolve(host, port)
     opened = socket.socket(family, socket.SOCK_STREAM)

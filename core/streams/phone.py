@@ -27,12 +27,9 @@ _SILENT = 8.0
 
 
 class Phone:
-    """Makes the packets for a phone. An app that may support `face_motion` is asked for it and for text alternately.
+    """Makes the packets for the phone in the settings; without one, nothing is sent.
 
-    Parameters
-    ----------
-    settings : StreamSettings
-        Settings; without the address of a phone, nothing is sent.
+    An app that may support `face_motion` is asked for it and for text alternately.
     """
 
     def __init__(self, settings: StreamSettings) -> None:
@@ -60,17 +57,8 @@ class Phone:
         return self._address is None or address[0] == self._address[0]
 
     def receiver(self, data: bytes, address: Address) -> FaceMotionReceiver | None:
-        """Return the receiver for a packet of `face_motion`.
-
-        Parameters
-        ----------
-        address : (str, int)
-            Its sender, which later packets are sent to.
-
-        Returns
-        -------
-        FaceMotionReceiver or None
-            The receiver; None if `data` belongs to another protocol.
+        """Return the receiver for a packet of `face_motion`, to whose sender later packets go; None for another
+        protocol.
         """
         if self._motion is None or not data.startswith(MAGIC):
             return None
@@ -78,20 +66,7 @@ class Phone:
         return self._motion
 
     def due(self, now: float, link: Link, *, heard: bool) -> list[tuple[bytes, Address]]:
-        """Return the packets that the phone needs now, and their addresses.
-
-        Parameters
-        ----------
-        now : float
-            Time in seconds on any clock.
-        link : Link
-            Link to the phone.
-
-        Returns
-        -------
-        list of (bytes, (str, int))
-            Packets and addresses.
-        """
+        """Return the packets that the phone needs now, in seconds on any clock, and their addresses."""
         if self._motion is not None and link.is_lost(self._motion_address):
             self._motion.end()
             self._motion_address = self._motion_phone
@@ -121,16 +96,10 @@ class Phone:
 
 
 class PhoneLink(ConnectionsLink):
-    """Messages over TCP from a phone.
+    """Messages over TCP from a phone; each text ends with `end`.
 
-    Parameters
-    ----------
-    host, port
-        As for `ConnectionsLink`.
-    end : bytes
-        What each text ends with.
-    motion_port : int
-        Second port to listen on, if it is free: the one to which a phone connects that was started by hand.
+    `motion_port` is a second port to listen on, if it is free: the one to which a phone connects that was started by
+    hand.
     """
 
     largest = MAX_MESSAGE

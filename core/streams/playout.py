@@ -92,16 +92,10 @@ class _Waiting:
 
 @dataclass(frozen=True)
 class Shown:
-    """A frame that is due.
+    """A frame that is due, with its time on the sender's clock and on this computer's, in seconds.
 
     Attributes
     ----------
-    time : float
-        Time in seconds on the sender's clock.
-    due : float
-        Time in seconds on this computer's clock at which it is due.
-    result : TrackResult
-        The face.
     predicted : bool
         Whether the frame did not arrive, and continues the motion before it.
     """
@@ -115,11 +109,8 @@ class Shown:
 class ClockFollower:
     """Follows the difference between two clocks, one of which is read through a network with delays.
 
-    Parameters
-    ----------
-    patience : float
-        Time in seconds. If everything came later than that for a second, as when a network takes another route, earlier
-        arrivals no longer count.
+    If everything came later than `patience` seconds for a second, as when a network takes another route, earlier
+    arrivals no longer count.
     """
 
     def __init__(self, patience: float = inf) -> None:
@@ -128,21 +119,9 @@ class ClockFollower:
         self._bins: deque[tuple[float, float]] = deque(maxlen=_BINS)
 
     def update(self, time: float, arrival: float, step: float) -> bool:
-        """Update the offset by a frame.
+        """Change `offset` by at most `step` for a frame; all times are in seconds.
 
-        Parameters
-        ----------
-        time : float
-            Time in seconds on the sender's clock.
-        arrival : float
-            Time in seconds on this computer's clock.
-        step : float
-            Largest change of `offset` in seconds.
-
-        Returns
-        -------
-        bool
-            Whether the sender's clock has jumped, so that everything starts again.
+        Returns whether the sender's clock has jumped, so that everything starts again.
         """
         difference = arrival - time
         jumped = self.offset is not None and abs(difference - self.offset) > _JUMP
@@ -164,13 +143,9 @@ class ClockFollower:
 class Playout:
     """A jitter buffer: frames go in as they arrive, and come out in order when they are due.
 
-    Parameters
-    ----------
-    delay : float
-        Delay in seconds after the earliest possible arrival.
-    counts : StreamCounts, optional
-        Where frames are counted that came too late, came twice, or are missing; those missing are known only if the
-        sender numbers its frames, as one without numbers may just have become slower.
+    They are due `delay` seconds after the earliest possible arrival. `counts` are of frames that came too late, came
+    twice, or are missing; those missing are known only if the sender numbers its frames, as one without numbers may
+    just have become slower.
     """
 
     def __init__(self, delay: float, counts: StreamCounts | None = None, *, predict: bool = True) -> None:
@@ -186,21 +161,10 @@ class Playout:
         self._predicted = 0
 
     def push(self, result: TrackResult, time: float | None, arrival: float, sequence: int | None = None) -> bool:
-        """Add a frame.
+        """Add a frame, and return whether it will be shown; otherwise it came too late or twice.
 
-        Parameters
-        ----------
-        time : float or None
-            Time in seconds on the sender's clock; None if packets have no time, so that even intervals are assumed.
-        arrival : float
-            Time in seconds on this computer's clock.
-        sequence : int, optional
-            Number of the frame, if packets have one.
-
-        Returns
-        -------
-        bool
-            Whether the frame will be shown; otherwise it came too late or twice.
+        `time` is in seconds on the sender's clock, or None if packets have no time, so that even intervals are assumed;
+        `arrival` is in seconds on this computer's; `sequence` is the number of the frame, if packets have one.
         """
         time = self._evenly(arrival) if time is None else time
         if self._clock.update(time, arrival, _SLEW * self._interval):
@@ -310,18 +274,10 @@ class Timeline:
         return self._last is not None
 
     def frame(self, shown: Shown, neutral: Neutral | None, now: float, dropped: int, start: float = 0.0) -> LiveFrame:
-        """Make a live frame of one that came or was predicted.
+        """Make a live frame of one that came or was predicted, after `dropped` frames that were skipped.
 
-        Parameters
-        ----------
-        neutral : Neutral or None
-            Neutral face of the source, if it states one.
-        now : float
-            Time in seconds on this computer's clock.
-        dropped : int
-            Number of frames that were skipped before it.
-        start : float
-            Time of the first frame in seconds.
+        `neutral` is the neutral face of the source, if it states one; `now` is in seconds on this computer's clock, and
+        the first frame has the time `start`.
         """
         time = self._time_of(shown, start)
         if not shown.predicted:

@@ -49,19 +49,9 @@ class FaceMeasure:
         self._coefficients: FrameCoefficients | None = None
 
     def values(self, result: TrackResult, neutral: Neutral | None, options: DriveSettings) -> FaceValues | None:
-        """Measure a face.
+        """Measure a face relative to the performer's neutral face, which is not mirrored; None if either is missing.
 
-        Parameters
-        ----------
-        neutral : Neutral or None
-            The performer's neutral face, not mirrored.
-        options : DriveSettings
-            Whether to mirror, and the strength of each region of the face.
-
-        Returns
-        -------
-        FaceValues or None
-            The values; None if there is no face, or no neutral face yet.
+        `options` tell whether to mirror, and the strength of each region of the face.
         """
         if neutral is None or not result.found:
             return None
@@ -79,16 +69,12 @@ class StreamSender:
 
     Parameters
     ----------
-    settings : SendSettings
-        Destination of the stream.
     options : DriveSettings
         Whether to mirror, and the strength of each region of the face. Facemime's own protocol leaves both to the
-        receiver.
+        receiver. May be replaced at any time.
 
     Attributes
     ----------
-    options : DriveSettings
-        May be replaced at any time.
     sent : int
         Number of frames sent.
     message : str
@@ -254,33 +240,14 @@ def _send_connected(sender: socket.socket, packet: bytes, address: Address) -> N
 
 
 def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """Compute the rotation of the head from that of a neutral face.
-
-    Parameters
-    ----------
-    result : TrackResult
-        Result with a face.
-
-    Returns
-    -------
-    (3,) float64
-        Pitch, yaw and roll in radians.
-    """
+    """Compute the pitch, yaw and roll (3,) of a head with a face in radians from those of a neutral face."""
     return np.array(matrix_to_euler(euler_to_matrix(*result.pose[1:4]) @ neutral.rotation.T))
 
 
 def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
-    """Compute the directions of the eyes relative to those of a neutral face.
+    """Compute the directions of the eyes relative to a neutral face's; None if the gaze is unknown.
 
-    Parameters
-    ----------
-    result : TrackResult
-        Result with a face.
-
-    Returns
-    -------
-    (2, 2) float64 or None
-        `(pitch, yaw)` of the right and the left eye in radians; None if the gaze is unknown.
+    These are the `(pitch, yaw)` of the right and the left eye in radians, (2, 2).
     """
     gaze = result.gaze - neutral.gaze
     return (
@@ -291,21 +258,9 @@ def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
 
 
 def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """Compute the translation of the head from that of a neutral face.
+    """Compute the translation (3,) of a head with a face from that of a neutral face, in the axes of the head frame.
 
-    Parameters
-    ----------
-    result : TrackResult
-        Result with a face.
-
-    Returns
-    -------
-    (3,) float64
-        Translation in metres, in the axes of the head frame.
-
-    Notes
-    -----
-    Equation 4.4, for a head of the size of the built-in one.
+    It is in metres, by equation 4.4 for a head of the size of the built-in one.
     """
     scale, x, y = neutral.position
     size = float(result.pose[0])

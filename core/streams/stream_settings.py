@@ -203,8 +203,6 @@ class SendSettings:
     ----------
     protocol : str
         One of `sender.SENT`.
-    host : str
-        Name or address of the receiver.
     port : int
         Port; 0 for the usual one.
     key : Path or None

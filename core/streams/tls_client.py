@@ -41,15 +41,7 @@ _CONNECTING, _SHAKING, _GREETED, _STREAMING = range(4)
 
 
 class TlsLink(Link):
-    """Packets over TLS from a paired sender.
-
-    Attributes
-    ----------
-    address : (str, int)
-        Address of the sender.
-    message : str
-        Reason why no data arrive; otherwise "".
-    """
+    """Packets over TLS from a paired sender."""
 
     largest = MAX_MESSAGE
 

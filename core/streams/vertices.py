@@ -62,17 +62,7 @@ _PATIENCE = 3.0
 
 
 def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) -> bytes:
-    """Encode what is sent once per head: its name, its vertices at rest, and its triangles.
-
-    Parameters
-    ----------
-    number : int
-        Number of the head.
-    appearance : Appearance
-        Appearance of the head.
-    rest : (A, 3) float32
-        Vertices of the rig at rest, in the head frame.
-    """
+    """Encode what is sent once per head: its name, its vertices (A, 3) at rest in the head frame, and its triangles."""
     patches = [patch.triangles()[0] for patch in appearance.all_patches(len(rest))]
     corners = np.concatenate([np.empty(0, dtype=np.int64), *patches]).astype("<u4")
     points = _points(rest, *(part.vertices for part in appearance.parts))
@@ -82,15 +72,7 @@ def encode_mesh(number: int, appearance: Appearance, rest: NDArray[np.float32]) 
 
 
 def encode_face(number: int, appearance: Appearance, rig: HeadRig) -> bytes:
-    """Encode which vertices are landmarks and eyeballs, for receivers that drive a face by them.
-
-    Parameters
-    ----------
-    number : int
-        Number of the head.
-    appearance : Appearance
-        Appearance of the head.
-    """
+    """Encode which vertices are landmarks and eyeballs, for receivers that drive a face by them."""
     first, eyes = len(rig.all_vertices), {"eye_right": (0, 0), "eye_left": (0, 0)}
     for part in appearance.parts:
         if part.follows in eyes:
@@ -101,17 +83,7 @@ def encode_face(number: int, appearance: Appearance, rig: HeadRig) -> bytes:
 
 
 def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFrame) -> bytes:
-    """Encode a frame of a head.
-
-    Parameters
-    ----------
-    number : int
-        Number of the head.
-    time : float
-        Time in seconds; only differences matter.
-    appearance : Appearance
-        Appearance of the head.
-    """
+    """Encode a frame of a numbered head, with its time in seconds, of which only differences matter."""
     parts = [part.posed(frame.jaw, frame.gaze, frame.tongue) for part in appearance.parts]
     points = _points(frame.vertices, *parts)
     turn = (TO_RECEIVER[:, None] * frame.rotation * TO_RECEIVER).astype("<f4")
@@ -121,21 +93,9 @@ def encode_frame(number: int, time: float, appearance: Appearance, frame: HeadFr
 
 
 class VertexSender(Connecting):
-    """Sends the moved vertices of all heads of a session.
+    """Sends the moved vertices of all heads of a session, in the order of the worker's heads.
 
-    Parameters
-    ----------
-    host : str
-        Name or address of the receiver.
-    port : int
-        Port; 0 for the usual one.
-    appearances : sequence of Appearance
-        Appearance of each head, in the order of the worker's heads.
-
-    Raises
-    ------
-    SourceError
-        If the host cannot be found.
+    Port 0 is the usual one. Raises SourceError if the host cannot be found.
     """
 
     def __init__(self, host: str, port: int, appearances: Sequence[Appearance]) -> None:

@@ -68,27 +68,13 @@ class ApiError(Exception):
 
 
 def request(kind: str, data: dict[str, Any]) -> str:
-    """Encode a request as JSON.
-
-    Parameters
-    ----------
-    kind : str
-        Type of the request, such as "InjectParameterDataRequest".
-    data : dict
-        Data of the request.
-    """
+    """Encode a request of a kind, such as "InjectParameterDataRequest", as JSON."""
     message = {"apiName": "VTubeStudioPublicAPI", "apiVersion": "1.0", "requestID": "Facemime", "messageType": kind}
     return json.dumps({**message, "data": data}, separators=(",", ":"))
 
 
 def parameters(face: FaceValues) -> dict[str, float]:
-    """Convert a face to the parameters of VTube Studio.
-
-    Returns
-    -------
-    dict
-        Values by name. Angles are in degrees; brows and smile rest at 0.5.
-    """
+    """Convert a face to VTube Studio's parameters by name. Angles are in degrees; brows and smile rest at 0.5."""
     value = {name: float(face.coefficients[column]) for name, column in COEFFICIENT_INDEX.items()}
     x, y, z = np.clip(np.degrees(to_face_axes(face.rotation)), -_ANGLE, _ANGLE).tolist()
     across, down, away = (0.0, 0.0, 0.0) if face.position is None else face.position.tolist()
@@ -123,13 +109,7 @@ def parameters(face: FaceValues) -> dict[str, float]:
 
 
 def injection(values: dict[str, float], *, found: bool) -> str:
-    """Encode the request that sets parameters.
-
-    Parameters
-    ----------
-    values : dict
-        Values from `parameters`.
-    """
+    """Encode the request that sets the values of `parameters`."""
     listed = [{"id": name, "value": number} for name, number in values.items()]
     return request("InjectParameterDataRequest", {"faceFound": found, "mode": "set", "parameterValues": listed})
 
@@ -139,19 +119,12 @@ class VTubeStudioSender(Connecting):
 
     Parameters
     ----------
-    host : str
-        Name or address of the computer.
     port : int
         Port; 0 for the usual one.
     token : Path
         File that stores the token.
     options : DriveSettings
-        Whether to mirror, and the strength of each region of the face.
-
-    Attributes
-    ----------
-    options : DriveSettings
-        May be replaced at any time.
+        Whether to mirror, and the strength of each region of the face; may be replaced at any time.
 
     Raises
     ------

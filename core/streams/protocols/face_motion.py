@@ -130,15 +130,7 @@ class _Schema:
 class FaceMotionReceiver:
     """The receiver's side of the protocol: parses the phone's packets and makes those for the phone.
 
-    Parameters
-    ----------
-    connected : bool
-        Whether the phone is connected over TCP.
-
-    Attributes
-    ----------
-    message : str
-        Reason why the phone refuses to send; otherwise "".
+    `connected` is whether the phone is connected over TCP; `message` says why it refuses to send, otherwise "".
     """
 
     def __init__(self, *, connected: bool = False) -> None:
@@ -158,23 +150,11 @@ class FaceMotionReceiver:
         return message(HELLO, self._nonce, payload)[0]
 
     def active(self, now: float) -> bool:
-        """Return whether the phone sends, or did so a moment ago.
-
-        Parameters
-        ----------
-        now : float
-            Time in seconds on any clock.
-        """
+        """Return whether the phone sends, or did so a moment before `now`, in seconds on any clock."""
         return self._schema is not None and now - self._moving < _OVER
 
     def due(self, now: float) -> list[bytes]:
-        """Return the packets that the phone needs now in order to continue sending.
-
-        Parameters
-        ----------
-        now : float
-            Time in seconds on any clock.
-        """
+        """Return the packets that the phone needs now, in seconds on any clock, in order to continue sending."""
         if self._schema is None or not self.active(now):
             return []
         packets = []
@@ -269,22 +249,9 @@ class FaceMotionReceiver:
 
 
 def length_of(data: bytes) -> int | None:
-    """Return the number of bytes of a whole message over TCP.
+    """Return the number of bytes of a whole message over TCP from its header; None if more of the header is needed.
 
-    Parameters
-    ----------
-    data : bytes
-        Its header, or what has come of it.
-
-    Returns
-    -------
-    int or None
-        The number; None if more of the header is needed.
-
-    Raises
-    ------
-    ConnectionError
-        If it is no such message.
+    Raises ConnectionError if it is no such message.
     """
     if len(data) < HEADER.size:
         return None
@@ -304,20 +271,9 @@ def message(
     flags: int = 0,
     largest: int = _DATAGRAMS[1],
 ) -> list[bytes]:
-    """Encode a message.
+    """Encode a message of a kind from HELLO to ERROR as datagrams of at most `largest` bytes.
 
-    Parameters
-    ----------
-    kind : int
-        HELLO to ERROR.
-    session : int
-        Number of the session; in HELLO and its refusal, the nonce.
-    payload : bytes
-        Content of the message.
-    schema, sequence, flags : int
-        Fields of the header.
-    largest : int
-        Largest size of a datagram in bytes.
+    `session` is its number; in HELLO and its refusal, the nonce.
     """
     capacity = largest - HEADER.size
     pieces = [payload[begin : begin + capacity] for begin in range(0, max(len(payload), 1), capacity)]

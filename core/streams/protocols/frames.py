@@ -92,37 +92,15 @@ class Receiver(Protocol):
     """Interface of a receiver of packets, which may have to answer them."""
 
     def receive(self, data: bytes, now: float) -> tuple[list[StreamFrame], list[bytes]]:
-        """Receive a packet.
+        """Receive a packet at a time in seconds on any clock.
 
-        Parameters
-        ----------
-        data : bytes
-            The packet.
-        now : float
-            Time in seconds on any clock.
-
-        Returns
-        -------
-        frames : list of StreamFrame
-            Frames that `data` completes, usually one.
-        answers : list of bytes
-            Packets to be sent back.
-
-        Raises
-        ------
-        PacketError
-            If the packet is malformed, or not from this sender.
+        Returns the frames that it completes, usually one, and the packets to be sent back. Raises PacketError if it is
+        malformed, or not from this sender.
         """
 
 
 class Decoding:
-    """A receiver that never answers.
-
-    Parameters
-    ----------
-    decoder : Decoder
-        Decoder of the packets.
-    """
+    """A receiver that never answers."""
 
     def __init__(self, decoder: Decoder) -> None:
         self._decoder = decoder
@@ -157,23 +135,7 @@ def finite(value: float) -> float:
 
 
 def turned(x: float, y: float, z: float) -> FloatArray:
-    """Convert angles about the axes of ARKit's face anchor; see `from_face_axes`.
-
-    Parameters
-    ----------
-    x, y, z : float
-        Angles in radians.
-
-    Returns
-    -------
-    (3,) float64
-        Pitch, yaw and roll in radians, as in `TrackResult`.
-
-    Raises
-    ------
-    PacketError
-        If an angle is impossible.
-    """
+    """Convert radians about the axes of ARKit's face anchor by `from_face_axes`; raises PacketError if impossible."""
     return from_face_axes(possible(x), possible(y), possible(z))
 
 
@@ -185,23 +147,7 @@ def possible(angle: float) -> float:
 
 
 def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
-    """Convert a quaternion of approximately unit length.
-
-    Parameters
-    ----------
-    x, y, z, w : float
-        The quaternion; w is the real part.
-
-    Returns
-    -------
-    (3, 3) float64
-        The rotation.
-
-    Raises
-    ------
-    PacketError
-        If the length is far from 1.
-    """
+    """Convert a quaternion, w its real part, to a rotation (3, 3); raises PacketError if its length is far from 1."""
     size = finite(x * x + y * y + z * z + w * w)
     if not 0.25 <= size <= 4.0:
         raise PacketError("a rotation has no length")

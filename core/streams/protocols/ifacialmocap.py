@@ -80,18 +80,8 @@ class IFacialMocapDecoder:
 def phone_face(coefficients: NDArray[np.float64], head: tuple[float, ...]) -> FaceValues:
     """Return a face from the values that the apps state in every version of the protocol.
 
-    Parameters
-    ----------
-    coefficients : (52,) float64
-        Coefficients in the order of `COEFFICIENTS`.
-    head : tuple of float
-        Three angles in degrees, and a position in metres unless it is unknown, in ARKit's axes: to the viewer's right,
-        up, and towards the viewer.
-
-    Raises
-    ------
-    PacketError
-        If a number is impossible.
+    `head` has three angles in degrees, and a position in metres unless it is unknown, in ARKit's axes: to the viewer's
+    right, up, and towards the viewer. Raises PacketError if a number is impossible.
     """
     rotation = turned(*(angle * pi / 180.0 for angle in head[:3]))
     position = np.array(head[3:6]) * (1.0, -1.0, -1.0) if len(head) >= 6 else None

@@ -36,13 +36,7 @@ _MAX_RATE = 1000.0
 
 
 class LiveLinkDecoder:
-    """Decodes Live Link Face.
-
-    Parameters
-    ----------
-    angles : {"radians", "degrees", "half-turns"}
-        Unit of the sender's angles.
-    """
+    """Decodes Live Link Face from a sender whose angles are in "radians", "degrees" or "half-turns"."""
 
     def __init__(self, angles: Angles = "radians") -> None:
         self._unit = ANGLES[angles]
@@ -73,18 +67,9 @@ class LiveLinkDecoder:
 
 
 def encode(face: FaceValues | None, time: float, *, subject: str, device: str, rate: int = 60) -> bytes:
-    """Encode a frame with angles in radians.
+    """Encode a frame with angles in radians, or without a face, for the named face and sender.
 
-    Parameters
-    ----------
-    face : FaceValues or None
-        None if there is no face.
-    time : float
-        Time in seconds, at least 0.
-    subject, device : str
-        Names of the face and of the sender.
-    rate : int
-        Frames per second in which the time is counted.
+    The time in seconds, at least 0, is counted in frames at `rate` per second.
     """
     whole, part = divmod(max(time, 0.0) * rate, 1.0)
     head = b"\x06" + b"".join(_LENGTH.pack(len(raw)) + raw for raw in (device.encode(), subject.encode()))

@@ -101,28 +101,10 @@ def _gaze(places: FloatArray) -> tuple[FloatArray, float]:
 
 
 def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
-    """Fit the pose under which points are seen, under weak perspective.
+    """Fit the pose (6,) under which a shape (66, 3) is seen at landmarks (66, 2) in pixels, under weak perspective.
 
-    Parameters
-    ----------
-    shape : (66, 3) float64
-        Landmarks without the pose: head frame, outer-eye distances.
-    landmarks : (66, 2) float64
-        Landmarks in pixels.
-
-    Returns
-    -------
-    (6,) float64
-        The pose, as in `TrackResult`.
-
-    Raises
-    ------
-    PacketError
-        If the points have no extent.
-
-    Notes
-    -----
-    The pose consists of the rotation and scale nearest to the linear part of the best affine map.
+    It consists of the rotation and scale nearest to the linear part of the best affine map. The shape is without the
+    pose, in the head frame and outer-eye distances. Raises PacketError if the points have no extent.
     """
     middle = shape.mean(axis=0)
     spread = shape - middle
@@ -141,23 +123,10 @@ def fit_pose(shape: FloatArray, landmarks: FloatArray) -> FloatArray:
 
 
 def encode(result: TrackResult, time: float, size: tuple[int, int], rest: FloatArray | None = None) -> bytes:
-    """Encode a face.
+    """Encode a result with a face, in an image of width and height `size`, as a datagram.
 
-    Parameters
-    ----------
-    result : TrackResult
-        Result with a face.
-    time : float
-        Time in seconds.
-    size : (int, int)
-        Width and height of the image in pixels.
-    rest : (66, 3) float64, optional
-        Neutral shape, from which the openings of eyes and mouth are measured; by default that of `result`.
-
-    Returns
-    -------
-    bytes
-        The datagram.
+    The openings of eyes and mouth are measured from `rest` (66, 3), the neutral shape; by default from that of
+    `result`.
     """
     rest = result.shape if rest is None else rest
     points, places, confidence = np.zeros((68, 2)), np.zeros((70, 3)), np.ones(68)

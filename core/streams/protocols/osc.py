@@ -40,15 +40,7 @@ class Message(NamedTuple):
 
 
 def encode_message(address: str, *arguments: Argument) -> bytes:
-    """Encode a message.
-
-    Parameters
-    ----------
-    address : str
-        Address, which begins with a slash.
-    arguments : int, float, str or bool
-        Arguments, of types i, f, s, T and F.
-    """
+    """Encode a message to an address that begins with a slash; arguments are of types i, f, s, T and F."""
     tags, body = ",", b""
     for value in arguments:
         if isinstance(value, bool):
@@ -62,14 +54,9 @@ def encode_message(address: str, *arguments: Argument) -> bytes:
 
 
 def encode_bundles(messages: Iterable[bytes], limit: int) -> Iterator[bytes]:
-    """Pack messages into bundles, in order.
+    """Pack messages from `encode_message` into bundles, in order.
 
-    Parameters
-    ----------
-    messages : iterable of bytes
-        Messages from `encode_message`.
-    limit : int
-        Largest size of a bundle in bytes; a bundle with a single message may be larger.
+    A bundle has at most `limit` bytes, unless it contains a single message.
     """
     bundle = empty = _BUNDLE + _NOW
     for message in messages:
@@ -105,15 +92,8 @@ def decode(data: bytes) -> list[Message]:
 def read_each(data: bytes, read: Callable[[Message], bool]) -> None:
     """Let a decoder read the messages of a datagram, and leave out those that it cannot.
 
-    Parameters
-    ----------
-    read : callable
-        Reads a message, and returns whether it belongs to the protocol; PacketError if it is malformed.
-
-    Raises
-    ------
-    PacketError
-        If no message belongs to the protocol, or all are malformed.
+    `read` returns whether a message belongs to the protocol, and raises PacketError if it is malformed. Raises
+    PacketError if no message belongs to the protocol, or all are malformed.
     """
     messages, known = decode(data), 0
     for message in messages:

@@ -144,16 +144,9 @@ def has_arkit_names(data: bytes) -> bool:
 def encode(face: FaceValues | None, time: float, names: Names = "arkit") -> Iterator[bytes]:
     """Encode a frame as bundles, as 52 values exceed a packet. The message that applies them comes last.
 
-    Parameters
-    ----------
-    face : FaceValues or None
-        None if there is no face.
-    time : float
-        Time in seconds.
-    names : {"arkit", "vrm"}
-        ARKit's names with a capital, as used by avatars made for *perfect sync*; or, for all other avatars, the
-        expressions of VRM 1 and VRM 0, by Facemime's key mappings. The other names are sent as 0, as an avatar that has
-        both would move twice as far.
+    `names` are "arkit", ARKit's with a capital, as used by avatars made for *perfect sync*; or "vrm", for all other
+    avatars, the expressions of VRM 1 and VRM 0, by Facemime's key mappings. The other names are sent as 0, as an avatar
+    that has both would move twice as far.
     """
     messages = [
         osc.encode_message("/VMC/Ext/OK", 1, 3, 0, int(face is not None)),

@@ -42,22 +42,9 @@ def is_loopback(host: str) -> bool:
 
 
 def parse_address(text: str, port: int = 0) -> tuple[str, int]:
-    """Parse `HOST`, `HOST:PORT`, `:PORT` or `[IPV6]:PORT`.
+    """Parse `HOST`, `HOST:PORT`, `:PORT` or `[IPV6]:PORT`; by default the host is this computer, and the port `port`.
 
-    Parameters
-    ----------
-    port : int
-        Port if `text` states none.
-
-    Returns
-    -------
-    host : str
-        Host; this computer if `text` states none.
-
-    Raises
-    ------
-    SourceError
-        If the text is none of these.
+    Raises SourceError if the text is none of these.
     """
     host, colon, number = text.strip().rpartition(":")
     if not colon or (":" in host and not host.startswith("[")):
@@ -71,19 +58,9 @@ def parse_address(text: str, port: int = 0) -> tuple[str, int]:
 
 
 def resolve(host: str, port: int) -> tuple[int, tuple[str, int]]:
-    """Find the family and the numeric address of a host.
+    """Find the family of a host, such as `socket.AF_INET`, and its numeric address with the port.
 
-    Returns
-    -------
-    family : int
-        Address family, such as `socket.AF_INET`.
-    address : (str, int)
-        Numeric address and port.
-
-    Raises
-    ------
-    SourceError
-        If the host cannot be found.
+    Raises SourceError if the host cannot be found.
     """
     try:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
@@ -105,20 +82,7 @@ def reachable(host: str) -> str:
 
 
 def cannot_listen(host: str, port: int, error: OSError) -> SourceError:
-    """Return the error for an address that cannot be listened on.
-
-    Parameters
-    ----------
-    host, port : str, int
-        The address.
-    error : OSError
-        The cause.
-
-    Returns
-    -------
-    SourceError
-        To be raised.
-    """
+    """Return the error to raise for an address that cannot be listened on, by its cause."""
     if error.errno == errno.EADDRNOTAVAIL:
         return SourceError(
             "{host} is not an address of this computer. Enter one that it has, or {everywhere} for all of them.",
@@ -182,14 +146,10 @@ _LINE = re.compile(r"facemime://([0-9a-f]{32})@([^\s@/]{1,260})/([0-9a-f]{64})",
 
 @dataclass(frozen=True)
 class Pairing:
-    """A sender, and the secrets that authenticate both sides.
+    """A sender's address, and the secrets that authenticate both sides.
 
     Attributes
     ----------
-    host : str
-        Name or address of the sender.
-    port : int
-        Port of the sender.
     fingerprint : bytes
         SHA-256 of the sender's certificate in DER.
     token : bytes

@@ -18,26 +18,9 @@ _ENDING = 5.0
 
 
 def listening(host: str, port: int, waiting: int) -> socket.socket:
-    """Listen on an address.
+    """Return a socket, which does not block, that listens on an address of this computer, or on any free port for 0.
 
-    Parameters
-    ----------
-    host : str
-        Name or address of this computer.
-    port : int
-        Port; 0 for any free one.
-    waiting : int
-        Number of connections that may wait to be accepted.
-
-    Returns
-    -------
-    socket.socket
-        Socket that does not block.
-
-    Raises
-    ------
-    SourceError
-        If the address cannot be listened on.
+    `waiting` connections may wait to be accepted. Raises SourceError if the address cannot be listened on.
     """
     family, address = resolve(host, port)
     listener = socket.socket(family, socket.SOCK_STREAM)
@@ -56,14 +39,8 @@ def listening(host: str, port: int, waiting: int) -> socket.socket:
 class Connecting(Closing):
     """A thread that connects to another program, again and again, and sends new data, until `close`.
 
-    `_news` guards the data that the thread shares with others, and is notified of every change.
-
-    Parameters
-    ----------
-    name : str
-        Name of the thread.
-    pause : float
-        Seconds between two attempts.
+    `_news` guards the data that the thread shares with others, and is notified of every change. There are `pause`
+    seconds between two attempts.
 
     Attributes
     ----------
@@ -98,13 +75,7 @@ class Connecting(Closing):
 
 
 class Serving(Closing):
-    """An event loop in its own thread, until `close`.
-
-    Parameters
-    ----------
-    name : str
-        Name of the thread.
-    """
+    """An event loop in its own thread of the given name, until `close`."""
 
     def __init__(self, name: str) -> None:
         self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()

@@ -75,8 +75,6 @@ class Packet:
         Number of the packet in the session.
     time : float
         Time of the media in seconds.
-    body : bytes
-        The content.
     signed : bytes
         The part that is signed: all but the signature.
     tag : bytes
@@ -210,13 +208,7 @@ class _Session:
 
 
 class OwnReceiver:
-    """Accepts packets of Facemime's own stream.
-
-    Parameters
-    ----------
-    key : bytes or None
-        The shared key; None for unsigned packets.
-    """
+    """Accepts packets of Facemime's own stream, signed with the shared key, or unsigned without one."""
 
     def __init__(self, key: bytes | None) -> None:
         self._key = key
@@ -293,13 +285,7 @@ class OwnReceiver:
 
 
 class OwnSender:
-    """Numbers and signs the packets of Facemime's own stream.
-
-    Parameters
-    ----------
-    key : bytes or None
-        The shared key; None for unsigned packets without a handshake.
-    """
+    """Numbers and signs the packets of Facemime's own stream; without a key, does not sign or greet receivers."""
 
     def __init__(self, key: bytes | None) -> None:
         self._key = key
@@ -331,17 +317,7 @@ class OwnSender:
         self._signing = session_key(self._key, self._session, sent, answered)
 
     def packet(self, kind: int, body: bytes, time: float) -> bytes:
-        """Make a datagram.
-
-        Parameters
-        ----------
-        kind : int
-            Kind of the packet, from `datagram.encode_face`.
-        body : bytes
-            Content, from `datagram.encode_face`.
-        time : float
-            Time of the media in seconds, at least 0.
-        """
+        """Make a datagram from a kind and a body of `encode_face`; the media time is in seconds, at least 0."""
         self._sequence += 1
         content = pack(Packet(kind, self._session, self._sequence, time, body), signed=self._key is not None)
         return content if self._signing is None else content + sign(self._signing, content)

@@ -41,10 +41,7 @@ _YEARS = 10
 def read_key(path: Path) -> bytes:
     """Read a shared key from a file of at least 16 characters, as written by `write_key`.
 
-    Raises
-    ------
-    SourceError
-        If there is no such file, or it is too short or too long.
+    Raises SourceError if there is no such file, or it is too short or too long.
     """
     try:
         text = read_bytes(Path(path), _MAX_KEY).strip()
@@ -76,19 +73,10 @@ def write_key(path: Path) -> None:
 
 
 def server_context(certificate: Path, key: Path | None) -> ssl.SSLContext:
-    """Return the TLS context of a server with a certificate.
+    """Return the TLS context of a server from PEM files; without `key`, the file of the certificate contains it.
 
-    Parameters
-    ----------
-    certificate, key : Path
-        PEM files; without `key`, the file of the certificate contains it.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be read, or they do not belong together.
-    ValueError
-        If the key has a password, which would be prompted for in a terminal.
+    Raises OSError if a file cannot be read, or they do not belong together, and ValueError if the key has a password,
+    which would be prompted for in a terminal.
     """
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.load_cert_chain(certificate, key, password=_no_password)
@@ -105,36 +93,12 @@ def sign(key: bytes, *parts: bytes) -> bytes:
 
 
 def is_signed(key: bytes, tag: bytes, *parts: bytes) -> bool:
-    """Check a signature in constant time.
-
-    Parameters
-    ----------
-    key : bytes
-        Key of the signature.
-
-    Returns
-    -------
-    bool
-        Whether `tag` is the signature of the concatenated parts.
-    """
+    """Return whether `tag` is the signature of the concatenated parts, in constant time."""
     return hmac.compare_digest(sign(key, *parts), tag)
 
 
 def session_key(key: bytes, session: bytes, sent: bytes, answered: bytes) -> bytes:
-    """Derive the key of a session.
-
-    Parameters
-    ----------
-    session : bytes
-        Session of the sender, `SESSION_BYTES` long.
-    sent, answered : bytes
-        Nonces of the sender and of the receiver.
-
-    Returns
-    -------
-    bytes
-        The key of the session.
-    """
+    """Derive a session's key from its `SESSION_BYTES` and the nonces of the sender and of the receiver."""
     return hmac.new(key, b"facemime session" + session + sent + answered, hashlib.sha256).digest()
 
 
@@ -185,19 +149,10 @@ class TlsIdentity:
     token: bytes
 
     def pairing(self, host: str, port: int, public: str = "") -> Pairing:
-        """Return the pairing by which others reach a sender on this computer.
+        """Return the pairing by which others reach a sender that listens on an address of this computer.
 
-        Parameters
-        ----------
-        host : str
-            Address of this computer on which the sender listens.
-        public : str
-            Address by which other networks reach this computer, HOST[:PORT]; "" for its own.
-
-        Raises
-        ------
-        SourceError
-            If `public` is no address.
+        `public` is the address by which other networks reach it, HOST[:PORT]; "" for its own. Raises SourceError if it
+        is none.
         """
         reached = parse_address(public, port) if public else (reachable(host), port)
         return Pairing(*reached, self.fingerprint, self.token)
@@ -206,12 +161,7 @@ class TlsIdentity:
 def load_identity(folder: Path) -> TlsIdentity:
     """Load the identity stored in a folder; create one if the folder has none.
 
-    Raises
-    ------
-    SourceError
-        If the files cannot be used.
-    OutputError
-        If they cannot be written.
+    Raises SourceError if the files cannot be used, and OutputError if they cannot be written.
     """
     if not os.path.lexists(folder / _CERTIFICATE):
         _write_identity(folder)
@@ -234,13 +184,7 @@ def load_identity(folder: Path) -> TlsIdentity:
 
 
 def renew_identity(folder: Path) -> None:
-    """Replace the identity stored in a folder, so that its pairing lines are no longer valid.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Replace the identity stored in a folder, which invalidates its pairing lines; raises OutputError if it cannot."""
     _write_identity(folder)
 
 

@@ -33,23 +33,17 @@ _LOG = logging.getLogger(__name__)
 
 
 class TlsSender(Serving):
-    """Sends tracking results to receivers that show the token. See `core.puppet.outputs.Output`.
+    """Sends tracking results to receivers that show the pairing's token. See `core.puppet.outputs.Output`.
 
     Parameters
     ----------
-    host : str
-        Address of this computer to listen on.
     port : int
-        Port; 0 for any free one.
+        Port of this computer to listen on; 0 for any free one. The attribute is the one that is listened on.
     context : ssl.SSLContext
         TLS context with the certificate.
-    token : bytes
-        Token of the pairing.
 
     Attributes
     ----------
-    port : int
-        Port that is listened on.
     receivers : int
         Number of connected receivers that have shown the token.
     sent : int
