@@ -65,17 +65,7 @@ class Archive:
         return tuple(array.tolist())
 
     def floats(self, name: str, shape: Shape, dtype: type = np.float64) -> FloatArray:
-        """Read finite numbers.
-
-        Parameters
-        ----------
-        name : str
-            Name of the array.
-        shape : tuple of int or None
-            Expected shape; None for a dimension of any length.
-        dtype : type
-            Type of the result.
-        """
+        """Read finite numbers of an expected shape, in which None is a dimension of any length."""
         array = self._get(name, shape, "fiu")
         with np.errstate(over="ignore"):
             out: FloatArray = array.astype(dtype)
@@ -84,32 +74,14 @@ class Archive:
         return out
 
     def integers(self, name: str, shape: Shape, low: int, high: int) -> NDArray[np.intp]:
-        """Read integers within a range.
-
-        Parameters
-        ----------
-        name : str
-            Name of the array.
-        shape : tuple of int or None
-            Expected shape; None for a dimension of any length.
-        low, high : int
-            Range, both ends included.
-        """
+        """Read integers from `low` to `high`, both included, of a shape as for `floats`."""
         array = self._get(name, shape, "iu")
         if array.size and (int(array.min()) < low or int(array.max()) > high):
             raise DataError("{name} is not within {low} to {high}", name=name, low=low, high=high)
         return array.astype(np.intp)
 
     def flags(self, name: str, shape: Shape) -> NDArray[np.bool_]:
-        """Read booleans.
-
-        Parameters
-        ----------
-        name : str
-            Name of the array.
-        shape : tuple of int or None
-            Expected shape; None for a dimension of any length.
-        """
+        """Read booleans of a shape as for `floats`."""
         return self._get(name, shape, "b").astype(np.bool_)
 
     def data(self, name: str) -> bytes:
@@ -134,19 +106,9 @@ class Archive:
 
 
 def read_archive(data: bytes, limit: int = MAX_BYTES) -> Archive:
-    """Read an archive of numbers and texts.
+    """Read an archive of numbers and texts: a zip file of `.npy` members, stored or deflated.
 
-    Parameters
-    ----------
-    data : bytes
-        A zip file of `.npy` members, stored or deflated.
-    limit : int
-        Largest total size of the unpacked members, in bytes.
-
-    Raises
-    ------
-    ValueError
-        If the data is not such an archive, is damaged, or would unpack to more.
+    Raises ValueError if it is anything else, is damaged, or would unpack to more than `limit` bytes.
     """
     if data.count(_MEMBER) > MAX_MEMBERS:  # before `zipfile` creates an object for each
         raise DataError("it has more than {max_members} members", max_members=MAX_MEMBERS)
@@ -161,24 +123,10 @@ def read_archive(data: bytes, limit: int = MAX_BYTES) -> Archive:
 
 @contextmanager
 def open_shipped(path: Path, form: str) -> Iterator[Archive]:
-    """Open an archive of the assets, and raise whatever is wrong with it as a ModelError.
+    """Open an archive of the assets whose array "format" is `form`, and raise whatever is wrong with it as a
+    ModelError.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    form : str
-        Expected value of its array "format".
-
-    Yields
-    ------
-    Archive
-        The archive. A ValueError within the context becomes a ModelError, too.
-
-    Raises
-    ------
-    ModelError
-        If the file is missing, damaged or of a different version.
+    Files may be missing, damaged or of a different version. A ValueError within the context becomes a ModelError, too.
     """
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))

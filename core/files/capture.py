@@ -134,29 +134,8 @@ PICTURE_RATE = 25.0
 class PictureSource(Closing):
     """The pictures in a folder as the frames of a video, in the order of their names; 2.png comes before 10.png.
 
-    Pictures that cannot be read are skipped.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder.
-    rate : float
-        Frames per second.
-
-    Attributes
-    ----------
-    path : Path
-        The folder.
-    fps : float
-        The rate.
-    frame_count : int
-        Number of pictures.
-
-    Raises
-    ------
-    SourceError
-        If the rate is impossible, or the folder is missing or has no pictures; while reading, if no picture can be
-        read.
+    Pictures that cannot be read are skipped. The attributes are those of `VideoSource`. Raises SourceError if the rate
+    is impossible, or the folder is missing or has no pictures; while reading, if no picture can be read.
     """
 
     def __init__(self, folder: Path, rate: float = PICTURE_RATE) -> None:
@@ -213,20 +192,7 @@ def open_video(path: Path, rate: float = PICTURE_RATE) -> VideoSource | PictureS
 
 
 def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
-    """Resample frames to a constant rate, each moment showing the frame that was on display then.
-
-    Parameters
-    ----------
-    frames : iterable of Frame
-        Frames with any times.
-    fps : float
-        Frames per second.
-
-    Returns
-    -------
-    iterator of Frame
-        Frames at even times, each with the index of its original frame.
-    """
+    """Resample frames to a constant rate, each moment showing the frame that was on display then, with its index."""
     emitted = 0
     shown: Frame | None = None
     for frame in frames:
@@ -247,10 +213,8 @@ def require_file(path: Path) -> None:
 def check_readable(path: Path) -> bool:
     """Return whether there is a file at `path`.
 
-    Raises
-    ------
-    SourceError
-        If it is something else, such as a folder or a pipe, which may never end, or if it is not readable.
+    Raises SourceError if it is something else, such as a folder or a pipe, which may never end, or if it is not
+    readable.
     """
     try:
         mode = os.stat(path).st_mode
@@ -304,10 +268,7 @@ _MAX_FILE = 1 << 30
 def read_image(path: Path) -> NDArray[np.uint8]:
     """Read an image as (H, W, 3) uint8 BGR, rotated upright according to EXIF.
 
-    Raises
-    ------
-    SourceError
-        If there is no such file, or it is not an image, or exceeds `MAX_PIXELS` or `MAX_SIDE`.
+    Raises SourceError if there is no such file, or it is not an image, or exceeds `MAX_PIXELS` or `MAX_SIDE`.
     """
     path = Path(path)
     require_file(path)
@@ -338,17 +299,9 @@ def _unreadable(path: Path) -> SourceError:
 
 
 def write_image(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an image in the format given by the suffix.
+    """Write an image (H, W, 3), BGR, in the format given by the suffix.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        BGR.
-
-    Raises
-    ------
-    OutputError
-        If the suffix is unknown, the image is too large for the format, or the file cannot be written.
+    Raises OutputError if the suffix is unknown, the image is too large for the format, or the file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in IMAGE_SUFFIXES:

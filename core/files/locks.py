@@ -38,22 +38,10 @@ def _lock_name(mark: str) -> str:
 
 @contextmanager
 def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
-    """Hold the lock file `path`, which is deleted at the end.
+    """Hold the lock file `path`, which is deleted at the end, or yield False if another process holds it.
 
-    Parameters
-    ----------
-    patience : float or None
-        Seconds to wait for another process that holds it; None waits indefinitely.
-
-    Yields
-    ------
-    bool
-        Whether the lock is held; False if another process still holds it.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be created, or the file system has no locks.
+    `patience` is how many seconds to wait for that process; None waits indefinitely. Raises OSError if the file cannot
+    be created, or the file system has no locks.
     """
     stream = _acquired(path, patience)
     if stream is None:
@@ -82,10 +70,7 @@ def _deleting(stream: FileIO, path: Path) -> Iterator[None]:
 def temporary_beside(path: Path) -> Iterator[Path]:
     """Yield an empty temporary file in the folder of `path`, with its suffix, which is deleted at the end.
 
-    Raises
-    ------
-    OSError
-        If it cannot be created.
+    Raises OSError if it cannot be created.
     """
     mark = secrets.token_hex(8)
     with _held_if_possible(path.with_name(_lock_name(mark))):
@@ -101,10 +86,7 @@ def temporary_beside(path: Path) -> Iterator[Path]:
 def temporary_folder() -> Iterator[Path]:
     """Yield an empty temporary folder, which is deleted at the end. Those of killed processes are deleted, too.
 
-    Raises
-    ------
-    OSError
-        If it cannot be created.
+    Raises OSError if it cannot be created.
     """
     place = Path(tempfile.gettempdir())
     sweep(place)

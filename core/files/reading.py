@@ -17,22 +17,7 @@ _PIECE = 1 << 20
 
 
 def read_bytes(path: Path, limit: int) -> bytes:
-    """Return the content of a file of limited size.
-
-    Parameters
-    ----------
-    path : Path
-        The file.
-    limit : int
-        Largest size in bytes.
-
-    Raises
-    ------
-    ValueError
-        If the file is larger.
-    OSError
-        If the file cannot be read.
-    """
+    """Return the content of a file; raises ValueError if it exceeds `limit` bytes, and OSError if it cannot be read."""
     pieces, length = [], 0
     with open(path, "rb") as stream:
         # Not `read(limit)`, which would allocate that memory at once; the stated size of a pipe is 0.
@@ -54,24 +39,9 @@ def read_text(path: Path) -> str:
 
 
 def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
-    """Parse JSON.
+    """Parse JSON, in which numbers may be NaN if `nan`, which JSON does not have but Python writes.
 
-    Parameters
-    ----------
-    text : str or bytes
-        The text.
-    nan : bool
-        Whether numbers may be NaN, which JSON does not have but Python writes.
-
-    Returns
-    -------
-    object
-        The value.
-
-    Raises
-    ------
-    ValueError
-        If the text is not JSON, is nested too deeply, or contains a number that is too large or infinite.
+    Raises ValueError if it is not JSON, is nested too deeply, or contains a number that is too large or infinite.
     """
     try:
         return json.loads(text, parse_int=_whole, parse_float=_real, parse_constant=_nan if nan else _refused)
@@ -84,27 +54,7 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
 
 
 def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str, Any]:
-    """Parse a JSON object that states its format.
-
-    Parameters
-    ----------
-    text : str or bytes
-        The text.
-    form : str
-        Expected value of its member "format".
-    nan : bool
-        As for `parse_json`.
-
-    Returns
-    -------
-    dict
-        The object.
-
-    Raises
-    ------
-    ValueError
-        If the text is anything else.
-    """
+    """Parse a JSON object whose member "format" is `form`, as `parse_json` does; raises ValueError if it is not."""
     data = as_object(parse_json(text, nan=nan), "the text")
     if data.get("format") != form:
         raise DataError("its format is different")
@@ -112,27 +62,7 @@ def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str
 
 
 def as_number(value: Any, name: str, low: float, high: float) -> float:
-    """Return `value` if it is a number within a range.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    low, high : float
-        Range, both ends included.
-
-    Returns
-    -------
-    float
-        The number.
-
-    Raises
-    ------
-    ValueError
-        If the value is anything else.
-    """
+    """Return `value` if it is a number from `low` to `high`, both included; raises ValueError, with `name`, if not."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise DataError(
             "{name} is {value}, not a number from {low:g} to {high:g}",
@@ -145,26 +75,7 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
 
 
 def as_integer(value: Any, name: str, low: int, high: int) -> int:
-    """Return `value` if it is an integer within a range.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    low, high : int
-        Range, both ends included.
-
-    Returns
-    -------
-    int
-        The integer.
-
-    Raises
-    ------
-    ValueError
-        If the value is anything else.
+    """Return `value` if it is an integer from `low` to `high`, both included; raises ValueError, with `name`, if not.
     """
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise DataError(
@@ -178,26 +89,9 @@ def as_integer(value: Any, name: str, low: int, high: int) -> int:
 
 
 def as_text(value: Any, name: str, limit: int = 200) -> str:
-    """Return `value` if it is a text of limited length.
+    """Return `value` if it is a text of at most `limit` characters without unpaired surrogates.
 
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    limit : int
-        Largest number of characters.
-
-    Returns
-    -------
-    str
-        The text.
-
-    Raises
-    ------
-    ValueError
-        If the value is anything else, or contains unpaired surrogates.
+    Raises ValueError, with `name`, if not.
     """
     if not isinstance(value, str) or len(value) > limit:
         raise DataError(
@@ -209,27 +103,7 @@ def as_text(value: Any, name: str, limit: int = 200) -> str:
 
 
 def as_list(value: Any, name: str, limit: int) -> list[Any]:
-    """Return `value` if it is a list of limited length.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-    limit : int
-        Largest number of items.
-
-    Returns
-    -------
-    list
-        The list.
-
-    Raises
-    ------
-    ValueError
-        If the value is anything else.
-    """
+    """Return `value` if it is a list of at most `limit` items; raises ValueError, with `name`, if not."""
     if not isinstance(value, list) or len(value) > limit:
         raise DataError(
             "{name} is {value}, not a list of at most {limit} items", name=name, value=shown(value), limit=limit
@@ -238,25 +112,7 @@ def as_list(value: Any, name: str, limit: int) -> list[Any]:
 
 
 def as_object(value: Any, name: str) -> dict[str, Any]:
-    """Return `value` if it is a JSON object.
-
-    Parameters
-    ----------
-    value : object
-        The value.
-    name : str
-        Its name, for messages.
-
-    Returns
-    -------
-    dict
-        The object.
-
-    Raises
-    ------
-    ValueError
-        If the value is anything else.
-    """
+    """Return `value` if it is a JSON object; raises ValueError, with `name`, if not."""
     if not isinstance(value, dict):
         raise DataError("{name} is {value}, not an object", name=name, value=shown(value))
     return value

@@ -19,16 +19,9 @@ Unit = Literal["", "percent", "angle", "seconds"]
 
 
 class Choice(NamedTuple):
-    """A value of an enumerated setting.
+    """A value of an enumerated setting, with the texts of the menu item and of its tooltip.
 
-    Attributes
-    ----------
-    value : str
-        The value.
-    label, description : str
-        Text of the menu item and of its tooltip.
-    number : int
-        Number that a .blend file stores; by default the position among the choices.
+    `number` is what a .blend file stores; by default the position among the choices.
     """
 
     value: str
@@ -77,19 +70,8 @@ class Setting:
         return type(self.default)
 
     def checked(self, value: Any, name: str) -> Any:
-        """Return `value` as the field stores it.
-
-        Parameters
-        ----------
-        value : object
-            Value to check, in the unit of the field.
-        name : str
-            Name of the setting, for the message.
-
-        Raises
-        ------
-        ValueError
-            If the setting cannot have that value.
+        """Return a value, in the unit of the field, as the field stores it; raises ValueError, with `name`, if it
+        cannot.
         """
         if self.kind is float:
             low, high = self._range()
@@ -117,13 +99,7 @@ _ROUNDING = 1e-6
 
 
 def setting(default: Any, label: str, description: str = "", **more: Any) -> Any:
-    """Declare a field of a group as a setting.
-
-    Parameters
-    ----------
-    default, label, description, **more
-        Attributes of the `Setting`.
-    """
+    """Declare a field of a group as a setting, with the attributes of a `Setting`."""
     metadata = {"setting": Setting(default, label, description, **more)}
     return dataclasses.field(default=default, metadata=metadata)
 

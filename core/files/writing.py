@@ -26,11 +26,8 @@ _PATIENCE = 0.25
 def replacing(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path`, with its suffix, which replaces it on success and is removed on failure.
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be created or written to, or an existing file cannot be replaced; the message then names
-        the file that contains the result.
+    Raises OutputError if the folder cannot be created or written to, or an existing file cannot be replaced; the
+    message then names the file that contains the result.
     """
     path = Path(path)
     with _reporting(path), ExitStack() as stack:
@@ -54,10 +51,7 @@ def replacing(path: Path) -> Iterator[Path]:
 def settle(finished: Path, path: Path) -> None:
     """Move a finished file to its final name, replacing an existing one.
 
-    Raises
-    ------
-    OutputError
-        If the file cannot be moved; `finished` then stays where it is.
+    Raises OutputError if the file cannot be moved; `finished` then stays where it is.
     """
     with _reporting(path):
         target = _target(path)
@@ -76,18 +70,7 @@ def settle(finished: Path, path: Path) -> None:
 def write_secret(path: Path, content: bytes, *, replace: bool = False) -> None:
     """Write a file that only its owner can read.
 
-    Parameters
-    ----------
-    path : Path
-        The file.
-    content : bytes
-        What to write.
-        Whether an existing file may be overwritten.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be written; FileExistsError if it exists and may not be overwritten.
+    Raises OSError if it cannot be written, and FileExistsError if it exists and `replace` is not set.
     """
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
     with open(descriptor, "wb") as file:
@@ -103,17 +86,7 @@ def free_name(path: Path) -> Path:
 def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
     """Raise an OutputError if an output cannot be written, before minutes of work. An existing file is not changed.
 
-    Parameters
-    ----------
-    path : Path
-        The output.
-    suffixes : collection of str
-        Allowed suffixes; any if empty.
-
-    Raises
-    ------
-    OutputError
-        If the output cannot be written, or has another suffix.
+    The suffix must be one of `suffixes`, or any if these are empty.
     """
     path = Path(path)
     if suffixes and path.suffix.lower() not in suffixes:
@@ -169,20 +142,7 @@ def _check_replaceable(path: Path, target: Path) -> None:
 
 
 def check_distinct(outputs: Iterable[Path | None], inputs: Mapping[str, Path | None]) -> None:
-    """Raise an OutputError if an output is an input, by any name or link.
-
-    Parameters
-    ----------
-    outputs : iterable of (Path or None)
-        The outputs.
-    inputs : mapping of str to (Path or None)
-        The inputs, by their description.
-
-    Raises
-    ------
-    OutputError
-        If one of the outputs is one of the inputs.
-    """
+    """Raise an OutputError if an output is an input, by any name or link; inputs are given by their description."""
     for output in filter(None, outputs):
         for name, path in inputs.items():
             if path is not None and _same(output, path):
@@ -202,12 +162,8 @@ def _same(output: Path, path: Path) -> bool:
 def claimed(*paths: Path) -> Iterator[None]:
     """Claim outputs for this process, and delete what killed processes have left in their folders.
 
-    A claim ends with its process, even if that crashes.
-
-    Raises
-    ------
-    OutputError
-        If another process has claimed one of the outputs, or its folder cannot be created.
+    A claim ends with its process, even if that crashes. Raises OutputError if another process has claimed one of the
+    outputs, or its folder cannot be created.
     """
     with ExitStack() as stack:
         for target, path in sorted({_target(path): path for path in paths}.items()):
@@ -249,12 +205,7 @@ def _folder(folder: Path) -> Iterator[None]:
 def locked(path: Path) -> Iterator[None]:
     """Hold the lock file `path`, for which other processes wait. It is deleted at the end.
 
-    The lock ends with its process, even if that crashes.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be created or locked.
+    The lock ends with its process, even if that crashes. Raises OutputError if the file cannot be created or locked.
     """
     path = Path(path)
     with ExitStack() as stack:

@@ -42,22 +42,8 @@ class Kernel:
     spacing: float
 
     def width(self, between: FloatArray, factor: float) -> float:
-        """Choose sigma from the spacing of control points.
+        """Choose sigma, in the unit of the distances (P, P) between control points, and the factor of the region.
 
-        Parameters
-        ----------
-        between : (P, P) float64
-            Distances between the control points.
-        factor : float
-            Factor of the region, `Region.spacing_factor`.
-
-        Returns
-        -------
-        float
-            Sigma, in the unit of the distances.
-
-        Notes
-        -----
         The spacing is the median distance to the third nearest neighbour. The distance to the nearest would be
         dominated by pairs on opposite lips.
         """
@@ -70,36 +56,13 @@ class Kernel:
 
 
 def gaussian(distance: FloatArray, sigma: float) -> FloatArray:
-    """Gaussian kernel, ``exp(-r^2 / (2 sigma^2))``: equation 2 of Yao et al. 2019.
-
-    Parameters
-    ----------
-    sigma : float
-        Width, in the unit of the distances.
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
-    """
+    """Gaussian kernel, ``exp(-r^2 / (2 sigma^2))``: equation 2 of Yao et al. 2019."""
     return np.asarray(np.exp(np.square(distance) * (-0.5 / (sigma * sigma))))
 
 
 def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
     """Sum of a Gaussian and one three times as wide: detail near the landmarks, and no gap where they are far apart.
 
-    Parameters
-    ----------
-    sigma : float
-        Width of the narrow Gaussian, in the unit of the distances.
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
-
-    Notes
-    -----
     Landmarks are dense on lids and lips and sparse on the cheeks. A single Gaussian that suits lids and lips leaves the
     middle of the cheek behind. A sum of Gaussians is positive definite because its terms are (Opfer 2006; Luethi et al.
     2018).
@@ -110,18 +73,6 @@ def multiscale(distance: FloatArray, sigma: float) -> FloatArray:
 def wendland(distance: FloatArray, sigma: float) -> FloatArray:
     """Wendland's C2 function, ``(1 - r / R)^4 (4 r / R + 1)`` below ``R = 4 sigma`` and 0 beyond.
 
-    Parameters
-    ----------
-    sigma : float
-        A quarter of the radius of the support, in the unit of the distances.
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
-
-    Notes
-    -----
     Wendland 1995; compactly supported, and positive definite in three dimensions.
     """
     r = np.minimum(distance / (4.0 * sigma), 1.0)
@@ -129,20 +80,8 @@ def wendland(distance: FloatArray, sigma: float) -> FloatArray:
 
 
 def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
-    """Biharmonic kernel of three dimensions, -r, as ``1 - r / sigma``.
+    """Biharmonic kernel of three dimensions, -r, as ``1 - r / sigma``; sigma exceeds the extent of the control points.
 
-    Parameters
-    ----------
-    sigma : float
-        Scale, in the unit of the distances; it has to exceed the extent of the control points.
-
-    Returns
-    -------
-    ndarray
-        Values of the shape of `distance`.
-
-    Notes
-    -----
     -r is conditionally positive definite; shifted by the constant it is positive definite on the control points
     (Micchelli 1986).
     """
@@ -168,20 +107,7 @@ def get_kernel(name: str) -> Kernel:
 
 
 def distances(a: FloatArray, b: FloatArray) -> NDArray[np.float64]:
-    """Compute the distances between two sets of points.
-
-    Parameters
-    ----------
-    a : (N, 3) float64
-        Points.
-    b : (M, 3) float64
-        Points.
-
-    Returns
-    -------
-    (N, M) float64
-        Distances, in the unit of the points.
-    """
+    """Compute the distances (N, M) between points (N, 3) and points (M, 3), in their unit."""
     return np.asarray(linalg.part("spatial.distance").cdist(a, b))
 
 

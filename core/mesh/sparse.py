@@ -36,35 +36,11 @@ class SymmetricSystem:
         )
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Solve for several right-hand sides.
-
-        Parameters
-        ----------
-        right : (N, K) array
-            The right-hand sides.
-
-        Returns
-        -------
-        (N, K) array
-            The solutions, in the precision of the solver.
-        """
+        """Solve for K right-hand sides (N, K), in the precision of the solver."""
         return np.asarray(self._factor.solve(np.asarray(right, dtype=self._dtype)))
 
     def sandwich(self, seeds: IntArray, masses: FloatArray) -> FloatArray:
-        """Return columns of ``A^-1 M A^-1`` with a diagonal M.
-
-        Parameters
-        ----------
-        seeds : (K,) array of int
-            The columns; -1 gives a column of zeros.
-        masses : (N,) array
-            The diagonal of M.
-
-        Returns
-        -------
-        (N, K) array
-            The columns, in the precision of the solver.
-        """
+        """Return the columns `seeds` (K,) of ``A^-1 M A^-1``, whose diagonal M is `masses`; 0 where a seed is -1."""
         columns = np.zeros((len(masses), len(seeds)))
         given = np.flatnonzero(seeds >= 0)
         columns[seeds[given], given] = 1.0

@@ -27,13 +27,7 @@ distance. Around a corner of the mouth it is longer."""
 
 
 class NearestPoints:
-    """Finds the nearest of a set of points: O(N log N) to prepare, O(log N) per query.
-
-    Parameters
-    ----------
-    points : (N, D) array_like
-        The points, searched in single precision.
-    """
+    """Finds the nearest of N points (N, D) in single precision: O(N log N) to prepare, O(log N) per query."""
 
     def __init__(self, points: FloatArray) -> None:
         self._points = np.ascontiguousarray(points, dtype=np.float32)  # the tree keeps no copy
@@ -41,21 +35,7 @@ class NearestPoints:
         self._index = cv2.flann_Index(self._points, tree)  # type: ignore[attr-defined] # missing from its stubs
 
     def query(self, places: FloatArray, count: int = 1) -> tuple[NDArray[np.intp], FloatArray]:
-        """Find the points nearest to each position.
-
-        Parameters
-        ----------
-        places : (M, D) array_like
-            The positions.
-        count : int
-            Number of points per position.
-
-        Returns
-        -------
-        indices : (M, count) int
-            The nearest first.
-        squared : (M, count) float32
-            Squared distances.
+        """Find `count` points for each of M places (M, D): indices and squared distances (M, count), the nearest first.
         """
         queries = np.ascontiguousarray(places, dtype=np.float32)
         if not len(queries):  # the index would return None
@@ -67,20 +47,9 @@ class NearestPoints:
 def border_twins(vertices: FloatArray, faces: IntArray, apart: IntArray | None = None) -> NDArray[np.intp]:
     """Find coincident vertices of open borders, where a skin was split, as exporters do at texture seams.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Any frame and unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    apart : (N,) array of int, optional
-        Vertices of borders that are openings, such as lips that were cut apart.
-
-    Returns
-    -------
-    (V,) intp
-        For each vertex the first of those that coincide with it. Vertices inside the mesh are not joined, as another
-        layer may touch them.
+    Returns for each vertex the first of those that coincide with it, (V,). Vertices inside the mesh are not joined, as
+    another layer may touch them, nor are those that are `apart`, on borders of openings, such as lips that were cut
+    apart.
     """
     graph = SurfaceGraph(vertices, faces)
     border = np.setdiff1d(graph.edges[graph.faces_at == 1], [] if apart is None else apart)
@@ -94,21 +63,9 @@ def border_twins(vertices: FloatArray, faces: IntArray, apart: IntArray | None =
 
 
 def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArray[np.intp]:
-    """Number the connected pieces of a mesh.
+    """Number the connected pieces of a mesh of `count` vertices: for each the number of its piece, from 0.
 
-    Parameters
-    ----------
-    count : int
-        Number of vertices.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-    twins : (V,) array of int, optional
-        As returned by `border_twins`; pieces are connected across twins.
-
-    Returns
-    -------
-    (V,) intp
-        Number of the piece of each vertex, from 0. A vertex without faces is a piece of its own.
+    A vertex without faces is a piece of its own. Pieces are connected across `twins`, as returned by `border_twins`.
     """
     corners = np.where(faces >= 0, faces, faces[:, :1]).astype(np.intp)
     pairs = np.stack([np.broadcast_to(corners[:, :1], corners.shape), corners], axis=-1).reshape(-1, 2)
@@ -130,19 +87,9 @@ def triangulate(faces: IntArray) -> NDArray[np.intp]:
 
 
 def surface_normals(vertices: FloatArray, faces: IntArray) -> FloatArray:
-    """Unit normals of vertices, weighted by the areas of their faces.
+    """Unit normals (V, 3) of vertices, weighted by the areas of their faces; 0 for vertices without faces.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Any frame and unit.
-    faces : (F, K) array of int
-        Vertices of each face, padded with -1.
-
-    Returns
-    -------
-    (V, 3) float64
-        Normals; 0 for vertices without faces.
+    Vertices (V, 3) have any frame and unit; faces (F, K) are padded with -1.
     """
     triangles = triangulate(faces)
     corners = np.asarray(vertices, dtype=np.float64)[triangles]
@@ -186,37 +133,18 @@ class SurfaceGraph:
         return found
 
     def path_lengths(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
-        """Compute the length of the shortest path along edges from each vertex to any seed.
-
-        Parameters
-        ----------
-        limit : float
-            Length at which to stop.
-
-        Returns
-        -------
-        (V,) float64
-            Lengths; infinite beyond `limit`.
+        """Compute the length (V,) of the shortest path along edges from each vertex to any seed; infinite beyond
+        `limit`.
         """
         return self._search(seeds, limit)[0]
 
     def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:
-        """Find the seed that is nearest to each vertex along edges.
-
-        Returns
-        -------
-        (V,) intp
-            The seed; -1 for vertices that are connected to none.
-        """
+        """Find the seed that is nearest to each vertex along edges (V,); -1 for vertices that are connected to none."""
         return np.maximum(self._search(seeds)[2], -1)
 
     def path(self, start: int, end: int) -> list[int]:
-        """Find the shortest path along edges.
-
-        Returns
-        -------
-        list of int
-            Vertices from `start` to `end`; only these two if they are not connected.
+        """Find the shortest path along edges, as vertices from `start` to `end`; only these two if they are not
+        connected.
         """
         before, path = self._search([start])[1], [end]
         while path[-1] != start and before[path[-1]] >= 0:
@@ -244,20 +172,6 @@ class SurfaceGraph:
 def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
     """Return whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
 
-    Parameters
-    ----------
-    graph : SurfaceGraph
-        Graph of the head.
-    landmarks : (66,) int
-        Vertex of each landmark.
-
-    Returns
-    -------
-    bool
-        Whether they are joined.
-
-    Notes
-    -----
     Paths are measured between the outer rims of the lips, whose landmarks are away from any slit.
     """
     upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]

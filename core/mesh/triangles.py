@@ -22,22 +22,10 @@ _INSIDE = 1e-9
 def crossing_pairs(
     vertices: FloatArray, triangles: IntArray, moved: NDArray[np.bool_] | None = None
 ) -> NDArray[np.intp]:
-    """Find the pairs of triangles that pass through each other.
+    """Find the pairs of triangles (P, 2) that pass through each other, of which one is `moved` (T,); by default any.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Any frame and unit.
-    triangles : (T, 3) array of int
-        Vertices of each triangle.
-    moved : (T,) bool, optional
-        Triangles of which each pair must contain at least one; by default all.
-
-    Returns
-    -------
-    (P, 2) int
-        Pairs of triangles without a common vertex, of which one has an edge that goes through the other (Moeller &
-        Trumbore 1997). Triangles that lie in one plane, or only touch, do not count.
+    They have no common vertex, and an edge of one goes through the other (Moeller & Trumbore 1997). Triangles that lie
+    in one plane, or only touch, do not count.
     """
     triangles = np.asarray(triangles, dtype=np.intp)
     corners = np.asarray(vertices, dtype=np.float64)[triangles]
@@ -126,23 +114,10 @@ class Fragments:
 
 
 def rasterise(points: FloatArray, depth: FloatArray, triangles: IntArray, size: int) -> Fragments:
-    """Draw triangles into a square image with a z-buffer.
+    """Draw triangles into a square image, `size` pixels wide, with a z-buffer.
 
-    Parameters
-    ----------
-    points : (V, 2) array
-        Positions in pixels, whose centres have integer coordinates.
-    depth : (V,) array
-        Depth; smaller values hide larger ones.
-    triangles : (T, 3) int
-        Vertices of each triangle. Both sides are drawn, so the caller leaves out triangles that face away.
-    size : int
-        Side of the image in pixels.
-
-    Returns
-    -------
-    Fragments
-        The visible surface.
+    Points (V, 2) are in pixels, whose centres have integer coordinates, and smaller depths (V,) hide larger ones. Both
+    sides are drawn, so the caller leaves out triangles that face away.
     """
     corners = points[triangles].astype(np.float32)
     nearness = depth[triangles].astype(np.float32)
