@@ -35,13 +35,8 @@ __all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficie
 class Observer:
     """Observes the face of a performer as that of the built-in head.
 
-    Parameters
-    ----------
-    neutral : Neutral
-        The performer's neutral face.
-    options : DriveSettings
-        Strength, mirror, the limits of the eyes, and whether only landmarks count. Depths are always used, although
-        they are hardly known.
+    The options are strength, mirror, the limits of the eyes, and whether only landmarks count. Depths are always used,
+    although they are hardly known.
     """
 
     def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
@@ -197,14 +192,9 @@ def _found(observer: Observer, results: Sequence[TrackResult]) -> FloatArray:
 
 
 class FrameCoefficients:
-    """Finds the coefficients of single frames, as in a live performance.
+    """Finds the coefficients of single frames, as in a live performance; the options are as for `arkit_coefficients`.
 
-    Parameters
-    ----------
-    neutral : Neutral
-        The performer's neutral face, not mirrored.
-    options : DriveSettings
-        As for `arkit_coefficients`.
+    The neutral face is the performer's, not mirrored.
     """
 
     def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
@@ -229,21 +219,10 @@ class FrameCoefficients:
 
 
 def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
-    """Find the coefficients of observed frames of one performer.
+    """Find the coefficients (N, 52), 0 to 1, of frames of one performer from what `Observer` gives.
 
-    Parameters
-    ----------
-    observed : (N, 213) float64
-        Observations from `Observer.face`.
-    gaze : (N, 2, 3, 3) float64
-        Rotations of the right and left eyeball.
-    shown : (N, 15) float64
-        Activations of `actions.ACTIONS`, from `Observer.shown`.
-
-    Returns
-    -------
-    (N, 52) float64
-        Coefficients, 0 to 1, in the order of `COEFFICIENTS`.
+    These are observations (N, 213), rotations (N, 2, 3, 3) of the right and left eyeball, and activations (N, 15) of
+    `ACTIONS`.
     """
     fitted = np.zeros((len(observed), len(FITTED)))
     complete = has_actions(observed)

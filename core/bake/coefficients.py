@@ -117,13 +117,7 @@ class CoefficientModel:
 
 @lru_cache(maxsize=1)
 def load_coefficient_model(path: Path = COEFFICIENT_FILE) -> CoefficientModel:
-    """Read the shipped model, once.
-
-    Raises
-    ------
-    ModelError
-        If the file is missing, damaged, or of a different version.
-    """
+    """Read the shipped model, once; raises ModelError if it is missing, damaged, or of a different version."""
     count = len(FITTED)
     with open_shipped(path, FORMAT) as archive:
         return CoefficientModel(
@@ -167,12 +161,7 @@ class _Fitting:
 class CoefficientSolver:
     """Finds the 44 coefficients `FITTED` from observations.
 
-    Parameters
-    ----------
-    model : CoefficientModel
-        Model of the observations.
-    actions : bool
-        Whether the activations of actions are known. If not, only the landmarks count.
+    `actions` is whether the activations of actions are known. If not, only the landmarks count.
     """
 
     def __init__(self, model: CoefficientModel, *, actions: bool = True) -> None:
@@ -191,60 +180,25 @@ class CoefficientSolver:
         self._at_rest = self._lacking(np.zeros((1, N_OBSERVED + len(FITTED)))) if model.correction else 0.0
 
     def frames(self, observed: FloatArray, near: FloatArray | None = None) -> FloatArray:
-        """Find the coefficients of single frames, as in a live performance.
-
-        Parameters
-        ----------
-        observed, near
-            As for `fitted_frames`.
-
-        Returns
-        -------
-        (N, 44) float64
-            Coefficients, 0 to 1.
-        """
+        """Find the coefficients (N, 44), 0 to 1, of single frames, as in a live performance; see `fitted_frames`."""
         return self.corrected(self.fitted_frames(observed, near))
 
     def take(self, observed: FloatArray) -> FloatArray:
-        """Find the coefficients of a take, corrected for the error of its neutral face.
-
-        Parameters
-        ----------
-        observed : (N, 213) float64
-            Observations from `Observer.face`.
-
-        Returns
-        -------
-        (N, 44) float64
-            Coefficients, 0 to 1.
-        """
+        """Find the coefficients (N, 44), 0 to 1, of a take, corrected for the error of its neutral face."""
         return self.corrected(self.fitted_take(observed))
 
     def fitted_frames(self, observed: FloatArray, near: FloatArray | None = None) -> FloatArray:
-        """Fit the coefficients of single frames (equations 9.3 and 9.4).
+        """Fit the coefficients of single frames to observations (N, 213) (equations 9.3 and 9.4).
 
-        Parameters
-        ----------
-        observed : (N, 213) float64
-            Observations.
-        near : (N, 44) float64, optional
-            Start of the first fit, which is replaced by its result. Those of the previous frame save most of the time;
-            the coefficients do not depend on them.
-
-        Returns
-        -------
-        (N, D + 44) float64
-            The known part of the observations, and the fitted coefficients, 0 to 1.
+        Returns the known part of the observations, and the fitted coefficients, 0 to 1: (N, D + 44). `near` (N, 44) is
+        the start of the first fit, which is replaced by its result. Those of the previous frame save most of the time;
+        the coefficients do not depend on them.
         """
         values = observed[:, self._known]
         return self._finished(self._fit(values, self._single, 2, near), values)
 
     def fitted_take(self, observed: FloatArray) -> FloatArray:
-        """Fit the coefficients of a take; see `fitted_frames`. The error of the neutral face is subtracted.
-
-        Notes
-        -----
-        Alternates between the coefficients of some frames and the error (equation 9.5).
+        """Fit the coefficients of a take as `fitted_frames` does, without the error of the neutral face (equation 9.5).
         """
         values = observed[:, self._known]
         # Equation 9.5 in turns. The mean of n independent frames knows the error e of the neutral face with precision n
@@ -260,18 +214,7 @@ class CoefficientSolver:
         return self._finished(self._fit(values - error, self._calibrated, 2), values - error)
 
     def corrected(self, fitted: FloatArray) -> FloatArray:
-        """Add what the fit lacks (equation 9.6), if the actions are known.
-
-        Parameters
-        ----------
-        fitted : (N, D + 44) float64
-            Observations and fitted coefficients, from `fitted_frames` or `fitted_take`.
-
-        Returns
-        -------
-        (N, 44) float64
-            Coefficients, 0 to 1.
-        """
+        """Add what a fit (N, D + 44) lacks (equation 9.6), if the actions are known: coefficients (N, 44), 0 to 1."""
         found = fitted[:, -len(FITTED) :]
         if not self._correction or not self._known.all():
             return found

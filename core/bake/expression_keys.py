@@ -58,28 +58,12 @@ def expression_keys(
     progress: Callable[[float], None] = lambda share: None,
     refine: Refine = lambda skin, motions: motions,
 ) -> tuple[tuple[str, ...], NDArray[np.float32]]:
-    """Make a set of shape keys for a head.
+    """Make a set of shape keys for a head, and return their names (K,) and motions (K, A, 3).
 
-    Parameters
-    ----------
-    rig : HeadRig
-        The head, with its eyes, teeth and other parts.
-    keys : KeySet
-        The set; by default ARKit's 52 face units.
-    progress : callable, optional
-        Is called with the share of the keys that are made, 0 to 1.
-    refine : callable, optional
-        Changes the keys of the skin.
+    Motions are the displacements of all vertices at value 1, as in `HeadRig.all_vertices`: head frame, unit of the
+    mesh. Those of the skin pass through `refine`; `progress` is called with the share of the keys that are made, 0 to
+    1.
 
-    Returns
-    -------
-    names : (K,) tuple of str
-        Names of the keys.
-    motions : (K, A, 3) float32
-        Displacements of all vertices at value 1, as in `HeadRig.all_vertices`: head frame, unit of the mesh.
-
-    Notes
-    -----
     The motion of the built-in head is carried over by a warp of the landmarks. It is corrected by the deformer where
     landmarks have to meet: a lid closes by the same share of its opening as the built-in head's, and stays outside the
     eyeball; sealed lips meet; and neither lips nor lids pass through each other. Lower teeth rotate with the chin about
@@ -260,31 +244,11 @@ def refined_keys(
     takes: Sequence[Take],
     progress: Callable[[float], None] = lambda share: None,
 ) -> NDArray[np.float32]:
-    """Refine ARKit's keys of a head by what takes do to it (equation 9.8).
+    """Refine ARKit's keys of a head without its parts by what takes do to it (equation 9.8).
 
-    Parameters
-    ----------
-    skin : HeadRig
-        The head without its parts.
-    names : sequence of str
-        Names of the keys, (K,), of ARKit's coefficients.
-    motions : (K, V, 3) float32
-        Their displacements of the vertices: head frame, unit of the mesh.
-    takes : sequence of Take
-        Takes, each with a face.
-    progress : callable, optional
-        Is called with the share of the frames that are done, 0 to 1.
-
-    Returns
-    -------
-    (K, V, 3) float32
-        The refined displacements. Keys that the takes do not show, or that are still, stay as they were, and so do
-        those of blinks, gaze and closed lips.
-
-    Raises
-    ------
-    SourceError
-        If a take has no face.
+    The motions (K, V, 3) are the keys' displacements of the vertices: head frame, unit of the mesh. Keys that the takes
+    do not show, or that are still, stay as they were, and so do those of blinks, gaze and closed lips. `progress` is
+    called with the share of the frames that are done, 0 to 1. Raises SourceError if a take has no face.
     """
     columns = [COEFFICIENTS.index(name) for name in names]
     keys = motions.reshape(len(motions), -1)

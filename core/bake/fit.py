@@ -137,26 +137,11 @@ def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode:
 
 
 def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
-    """Select the keyframes that a polyline needs to stay within a tolerance of all keyframes.
+    """Select the keyframes that a polyline needs to stay within a tolerance, in the unit of the values, of all of them.
 
-    Parameters
-    ----------
-    times : (N,) array
-        Times of the keyframes, increasing.
-    values : (N,) array
-        Values of the keyframes; errors are differences in value at the same time.
-    tolerance : float
-        Largest allowed error, in the unit of `values`; 0 keeps every keyframe that is off the line.
-
-    Returns
-    -------
-    (n,) int
-        Indices of the keyframes to keep, ascending.
-
-    Notes
-    -----
-    The algorithm of Douglas & Peucker 1973, without recursion. The error is bounded at the keyframes, and therefore
-    everywhere, as the curve between them is straight.
+    The algorithm of Douglas & Peucker 1973, without recursion; it returns ascending indices. Errors are differences in
+    value at the same time; they are bounded at the keyframes, and therefore everywhere, as the curve between them is
+    straight. A tolerance of 0 keeps every keyframe that is off the line.
     """
     count = len(values)
     if count < 3:
@@ -272,21 +257,9 @@ def _exclude(
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Compute the errors of a mix of shape keys.
+    """Return the largest and the root mean square distance of vertices from a motion, with weights (N, K) of `keys`.
 
-    Parameters
-    ----------
-    motion, keys : (N, V, 3), (K, V, 3) array
-        As for `fit_keys`.
-    weights : (N, K) array
-        Weights of the keys.
-
-    Returns
-    -------
-    float
-        Largest distance of a vertex from the motion.
-    float
-        Root mean square distance.
+    The arrays are as for `fit_keys`.
     """
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     worst, total = 0.0, 0.0

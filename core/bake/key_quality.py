@@ -68,17 +68,9 @@ class KeyQuality:
 
 
 def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQuality]:
-    """Measure keys that were made by `expression_keys`.
+    """Measure keys that were made by `expression_keys`, in the order of the set.
 
-    Parameters
-    ----------
-    motions : (K, A, 3) array
-        Displacements of all vertices at value 1, as in `HeadRig.all_vertices`.
-
-    Returns
-    -------
-    list of KeyQuality
-        The figures, in the order of the set.
+    The motions (K, A, 3) are displacements of all vertices at value 1, as in `HeadRig.all_vertices`.
     """
     alone, skin = rig.skin()
     measure, unit = _Measure(alone), rig.eye_distance
@@ -184,31 +176,12 @@ class KeyedFace:
 
 
 def face_from_keys(vertices: FloatArray, mixtures: FloatArray, offsets: Sequence[FloatArray]) -> KeyedFace:
-    """Find the face of a mesh whose landmarks are unknown.
+    """Find the face of a mesh whose landmarks are unknown from its keys' offsets (V, 3) at value 1.
 
-    Parameters
-    ----------
-    vertices : (V, 3) array
-        Vertices in any unit; the axes may differ from those of the head frame by right angles.
-    mixtures : (K, 52) array
-        ARKit's units that each key resembles, as weights.
-    offsets : sequence of (V, 3) array
-        Displacements under each key at value 1.
-
-    Returns
-    -------
-    KeyedFace
-        The attitude of the face, and vertices at its landmarks.
-
-    Raises
-    ------
-    HeadError
-        If fewer than three keys move anything, or the mesh has too few vertices.
-
-    Notes
-    -----
-    The mean place at which each key moves the mesh is compared with that of the same motion of the built-in head. The
-    similarity that fits these places best carries the landmarks over.
+    The mixtures (K, 52) are the weights of ARKit's units that each key resembles. The mean place at which each key
+    moves the mesh is compared with that of the same motion of the built-in head. The similarity that fits these places
+    best carries the landmarks over. The axes of the mesh may differ from those of the head frame by right angles.
+    Raises HeadError if fewer than three keys move anything, or the mesh has too few vertices.
     """
     head = load_head()
     units = head.units[FITTED].reshape(len(FITTED), -1)

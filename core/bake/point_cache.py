@@ -17,26 +17,9 @@ _HEADER = struct.Struct("<12siiffi")
 
 
 def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, start: float = 0.0) -> int:
-    """Write a point cache. An existing file is replaced only by a complete one.
+    """Write samples (V, 3), one per frame from frame `start`, as a point cache, and return their number.
 
-    Parameters
-    ----------
-    samples : iterable of (V, 3) array
-        Positions of the vertices, one sample per frame.
-    vertices : int
-        Number of vertices V, the same in every sample.
-    start : float
-        Frame of the first sample.
-
-    Returns
-    -------
-    int
-        Number of samples.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    An existing file is replaced only by a complete one. Raises OutputError if the file cannot be written.
     """
     count = 0
     with replacing(Path(path)) as temporary, open(temporary, "wb") as stream:
@@ -54,22 +37,7 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
 
 
 def in_between(times: FloatArray, values: FloatArray, at: float) -> FloatArray:
-    """Interpolate linearly between values, which are constant beyond both ends.
-
-    Parameters
-    ----------
-    times : (N,) float64
-        Times, increasing.
-    values : (N, ...) array
-        Values at these times.
-    at : float
-        Time at which to interpolate.
-
-    Returns
-    -------
-    ndarray
-        Values at that time.
-    """
+    """Interpolate values (N, ...) linearly at one time between increasing ones; they are constant beyond both ends."""
     after = int(np.searchsorted(times, at, side="left"))
     if after == 0 or after == len(times):
         return np.asarray(values[min(after, len(times) - 1)])

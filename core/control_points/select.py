@@ -122,13 +122,7 @@ def to_json(selection: GreedySelection) -> str:
 
 
 def from_json(text: str) -> GreedySelection:
-    """Parse a selection written by `to_json`.
-
-    Raises
-    ------
-    SourceError
-        If the text is anything else.
-    """
+    """Parse a selection written by `to_json`; raises SourceError if the text is anything else."""
     try:
         data = parse_format(text, _FORMAT, nan=True)
         steps = as_list(data.get("steps"), "steps", _MAX_STEPS)
@@ -201,12 +195,7 @@ def _step(data: dict[str, Any]) -> GreedyStep:
 def parse_landmarks(text: str) -> list[int]:
     """Parse iBUG numbers and ranges such as "17,19-21" as positions in the 66 landmarks; an empty text gives none.
 
-    Ranges skip 60 and 64, which are not among the 66 landmarks.
-
-    Raises
-    ------
-    HeadError
-        If the text is anything else.
+    Ranges skip 60 and 64, which are not among the 66 landmarks. Raises HeadError if the text is anything else.
     """
     numbers: list[int] = []
     try:

@@ -65,18 +65,7 @@ def point_rows(selection: GreedySelection | None) -> list[PointRow]:
 
 
 def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
-    """Add a landmark to a selection, as a control point of all its regions.
-
-    Parameters
-    ----------
-    landmark : int
-        Position in the 66 landmarks.
-
-    Raises
-    ------
-    HeadError
-        If the landmark is already a control point.
-    """
+    """Make a landmark, a position in the 66, a control point of all its regions; raises HeadError if it is one."""
     if selection.membership[:, landmark].any():
         raise HeadError(
             "Landmark {landmark} is already a control point. Choose another one.", landmark=IBUG68_INDICES[landmark]
@@ -85,19 +74,9 @@ def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
 
 
 def drop_by_hand(selection: GreedySelection | None, landmark: int) -> GreedySelection:
-    """Remove a landmark from a selection.
+    """Remove a landmark, a position in the 66, from a selection; None stands for one of all landmarks.
 
-    Parameters
-    ----------
-    selection : GreedySelection or None
-        The selection; None stands for one of all landmarks.
-    landmark : int
-        Position in the 66 landmarks.
-
-    Raises
-    ------
-    HeadError
-        If the landmark is not a control point, or is the last one of a region.
+    Raises HeadError if the landmark is not a control point, or is the last one of a region.
     """
     selection = selection or GreedySelection(membership(), (), 0.0, True)
     column = selection.membership[:, landmark]
@@ -136,18 +115,10 @@ def error_curve(selection: GreedySelection) -> tuple[NDArray[np.intp], NDArray[n
 
 
 def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) -> NDArray[np.float32]:
-    """Draw the worst error, in per cent, over the number of control points.
+    """Draw the worst error, in per cent, over the number of control points, as (height, width, 4) float32.
 
-    Parameters
-    ----------
-    width, height : int
-        Size in pixels.
-
-    Returns
-    -------
-    (height, width, 4) float32
-        RGBA, bottom row first as in Blender. The background is transparent, and the ink is legible on light and dark
-        panels.
+    This is RGBA, bottom row first as in Blender. The background is transparent, and the ink is legible on light and
+    dark panels.
     """
     counts, errors = error_curve(selection)
     picture = np.zeros((height, width, 4), dtype=np.uint8)
@@ -177,19 +148,9 @@ def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) 
 
 
 def region_colours(weights: NDArray[np.float32] | NDArray[np.float64], opacity: float) -> NDArray[np.float32]:
-    """Colour vertices by their regions.
+    """Colour vertices by their region weights (3, V): RGBA (V, 4), transparent outside all regions.
 
-    Parameters
-    ----------
-    weights : (3, V) float
-        Region weights.
-    opacity : float
-        Opacity where the weights sum to 1.
-
-    Returns
-    -------
-    (V, 4) float32
-        RGBA; transparent outside all regions.
+    `opacity` is reached where the weights sum to 1.
     """
     weights = np.clip(np.asarray(weights, dtype=np.float32), 0.0, 1.0)
     total = weights.sum(axis=0)

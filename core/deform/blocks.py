@@ -64,15 +64,10 @@ class BlockProduct:
     n_columns : int
         Number of control points.
 
-    Attributes
-    ----------
-    nbytes : int
-        Memory of the blocks in bytes.
-
     Notes
     -----
     No vertex is off by more than ``TOLERANCE |d|``, where ``|d|`` is the root of the sum of all squared displacements.
-    Up to 4,096 vertices the product is exact.
+    Up to 4,096 vertices the product is exact. `nbytes` is the memory of the blocks.
     """
 
     def __init__(self, rest: NDArray[np.float32], regions: list[RegionMatrix], n_columns: int) -> None:
@@ -112,15 +107,7 @@ class BlockProduct:
         self.nbytes = sum(constant.nbytes for constant in constants.values())
 
     def apply(self, displacements: NDArray[np.float32], out: NDArray[np.float32]) -> None:
-        """Compute ``rest + A d``.
-
-        Parameters
-        ----------
-        displacements : (P, 3) float32
-            Displacements `d` of the control points.
-        out : (V, 3) float32
-            C-contiguous array for the result, which is overwritten.
-        """
+        """Compute ``rest + A d`` from displacements (P, 3) of the control points into `out` (V, 3), C-contiguous."""
         self._inputs[:, :-3] = displacements.T
         self._network.setInput(self._inputs)
         moved = self._network.forward()

@@ -67,25 +67,10 @@ def skin_covariance(
 ) -> SkinCovariance:
     """Compute the covariance of a Matern process of smoothness 1 on the part of a head that its regions move.
 
-    Parameters
-    ----------
-    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`; any frame.
-
-    Returns
-    -------
-    SkinCovariance
-        Covariance between vertices and landmarks, and among landmarks.
-
-    Notes
-    -----
-    Equation 5.4: ``C = B^-1 M B^-1`` with ``B = M / r^2 + L``, where `L` is the cotangent matrix of the surface, `M`
-    contains the areas of the vertices and `r` is the reach. These are the finite elements of ``(1 / r^2 - Laplacian) u
-    = noise`` with free borders (Lindgren, Rue & Lindstroem 2011).
-
-    References
-    ----------
-    Lindgren, Rue & Lindstroem 2011, *An explicit link between Gaussian fields and Gaussian Markov random fields*.
+    Arrays are as in `HeadRig`, in any frame. Equation 5.4: ``C = B^-1 M B^-1`` with ``B = M / r^2 + L``, where `L` is
+    the cotangent matrix of the surface, `M` contains the areas of the vertices and `r` is the reach. These are the
+    finite elements of ``(1 / r^2 - Laplacian) u = noise`` with free borders (Lindgren, Rue & Lindstroem 2011, *An
+    explicit link between Gaussian fields and Gaussian Markov random fields*).
     """
     places = as_points(vertices, "vertices", error=HeadError)
     unit = outer_eye_distance(places[landmarks])
@@ -174,23 +159,10 @@ def landmark_covariance(displacements: FloatArray) -> FloatArray:
 def follow_in_region(
     phi: FloatArray, covariance: FloatArray | None, chosen: NDArray[np.intp], regularisation: float = REGULARISATION
 ) -> FloatArray:
-    """Compute the matrix from the displacements of a region's control points to those of all its landmarks.
+    """Compute `F` (P, C) of equation 6.1, from the displacements of C control points to those of all P landmarks.
 
-    Parameters
-    ----------
-    phi : (P, P) array
-        Kernel between the landmarks of the region.
-    covariance : (P, P) array or None
-        Covariance of the landmarks' displacements in a take; None to predict by distance alone.
-    chosen : (C,) array of int
-        Which of the P landmarks are control points.
-    regularisation : float
-        As for `RBFDeformer`.
-
-    Returns
-    -------
-    (P, C) float64
-        `F` of equation 6.1.
+    `phi` (P, P) is the kernel between the landmarks of the region, and `covariance` (P, P) that of their displacements
+    in a take, or None to predict by distance alone.
     """
     pairs = np.ix_(chosen, chosen)
     # F_0: by distance alone.
@@ -212,27 +184,16 @@ def follow_matrix(
     sigmas: FloatArray,
     regularisation: float = REGULARISATION,
 ) -> FloatArray:
-    """Compute the matrix from the displacements of the control points to those of all landmarks.
+    """Compute the matrix (66, 66) from the displacements of the control points to those of all landmarks.
 
     Parameters
     ----------
-    landmarks : (66, 3) array
-        Rest positions.
     members : (3, 66) array of bool
         Whether a landmark is a control point of a region, and then of all regions to which it belongs.
     covariance : (66, 66) array or None
         As returned by `landmark_covariance` for a take; None to predict by distance alone.
-    kernel : Kernel
-        Kernel of the regions' functions.
     sigmas : (3,) array
         Width of the kernel in each region, in the unit of `landmarks`.
-    regularisation : float
-        As for `RBFDeformer`.
-
-    Returns
-    -------
-    (66, 66) float64
-        The matrix; columns of landmarks that are not control points are 0.
 
     Raises
     ------
@@ -241,7 +202,8 @@ def follow_matrix(
 
     Notes
     -----
-    A landmark of two regions that is not a control point takes the mean of both predictions.
+    A landmark of two regions that is not a control point takes the mean of both predictions. Columns of landmarks that
+    are not control points are 0.
     """
     known = members.any(axis=0)
     matrix, said = np.zeros((len(landmarks), len(landmarks))), membership().sum(axis=0)

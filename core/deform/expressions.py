@@ -74,18 +74,7 @@ class ExpressionModel:
     landmarks: NDArray[np.float32]
 
     def transfer(self, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> NDArray[np.float32]:
-        """Transfer the features to the vertices of another head.
-
-        Parameters
-        ----------
-        vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
-            As in `HeadRig`.
-
-        Returns
-        -------
-        (V, K) float32
-            Features; 0 at vertices that no region moves.
-        """
+        """Transfer the features to the vertices of another head, (V, K); 0 at vertices that no region moves."""
         places = _normalised(vertices, landmarks)
         moving = np.flatnonzero(region_weights.any(axis=0))
         features = np.zeros((len(places), self.features.shape[1]), dtype=np.float32)
@@ -93,17 +82,9 @@ class ExpressionModel:
         return features
 
     def joined(self, other: ExpressionModel) -> ExpressionModel:
-        """Return a model whose correlations are the means of those of two models.
+        """Return a model whose correlations are the means of those of two models, with the features of both.
 
-        Parameters
-        ----------
-        other : ExpressionModel
-            The other model; its features are transferred to the places of this one, which is the more accurate here.
-
-        Returns
-        -------
-        ExpressionModel
-            The model, with the features of both side by side.
+        The features of the other one are transferred to the places of this one, which is the more accurate here.
         """
         features = np.concatenate([self.features, other._at(self.places, self.sides, self.landmarks)], axis=1)
         return replace(self, features=np.float32(np.sqrt(0.5)) * features)
@@ -135,26 +116,11 @@ def learn(
     motions: FloatArray,
     kept: IntArray | None = None,
 ) -> ExpressionModel:
-    """Learn the correlation of motion from a head whose expressions are known.
+    """Learn the correlation of motion from a head whose expressions, (E, V, 3) in the unit of the vertices, are known.
 
-    Parameters
-    ----------
-    vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
-        As in `HeadRig`.
-    motions : (E, V, 3) array
-        Displacements under each expression, in the unit of `vertices`.
-    kept : (S,) array of int, optional
-        Vertices to keep, for a small file; by default all that move.
-
-    Returns
-    -------
-    ExpressionModel
-        The model.
-
-    Notes
-    -----
-    The features are ``h(x) = m(x) / sqrt(|m(x)|^2 + 3 c^2)`` (equation 5.6), where m(x) contains all coordinates of all
-    motions of the place x, projected to their strongest singular vectors.
+    Only the vertices `kept` (S,) are kept, for a small file; by default all that move. The features are ``h(x) = m(x) /
+    sqrt(|m(x)|^2 + 3 c^2)`` (equation 5.6), where m(x) contains all coordinates of all motions of the place x,
+    projected to their strongest singular vectors.
     """
     unit = outer_eye_distance(np.asarray(vertices)[landmarks])
     moving = np.flatnonzero(region_weights.any(axis=0)) if kept is None else np.asarray(kept)
@@ -189,22 +155,8 @@ def learnt_covariance(
     landmarks: IntArray,
     region_weights: FloatArray,
 ) -> SkinCovariance:
-    """Compute the covariance of the process on the skin plus the learnt correlation.
+    """Compute the covariance of the process on the skin, as `skin_covariance` does, plus the learnt correlation.
 
-    Parameters
-    ----------
-    model : ExpressionModel
-        Correlation of motion on known heads.
-    vertices, faces, landmarks, region_weights
-        As for `skin_covariance`.
-
-    Returns
-    -------
-    SkinCovariance
-        Covariance between vertices and landmarks, and among landmarks.
-
-    Notes
-    -----
     The term ``w h(x) . h(y) exp(-|x - y|^2 / (2 REACH^2))`` with ``w = LEARNT_WEIGHT`` is added between places x and y
     with features h (equation 5.7).
     """
@@ -229,10 +181,7 @@ def learnt_covariance(
 def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
     """Read a model written by `lab.training.expressions`.
 
-    Raises
-    ------
-    ModelError
-        If the file is missing, damaged, or of a different version.
+    Raises ModelError if the file is missing, damaged, or of a different version.
     """
     with open_shipped(path, FORMAT) as archive:
         places = archive.floats("places", (None, 3), np.float32)
@@ -247,19 +196,9 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
 def transferred(
     motions: FloatArray, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray
 ) -> NDArray[np.float32]:
-    """Transfer displacements of the built-in head to another head.
+    """Transfer displacements (E, B, 3) of the built-in head in metres to another head, in the unit of its vertices.
 
-    Parameters
-    ----------
-    motions : (E, B, 3) array
-        Displacements of the vertices of the built-in head in metres.
-    vertices, landmarks, region_weights : (V, 3), (66,), (3, V) array
-        As in `HeadRig`.
-
-    Returns
-    -------
-    (E, V, 3) float32
-        Displacements in the unit of `vertices`; 0 at vertices that no region moves.
+    The result is (E, V, 3), and 0 at vertices that no region moves.
     """
     known = load_head()
     moving = np.flatnonzero(known.regions.any(axis=0))

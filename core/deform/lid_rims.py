@@ -71,24 +71,13 @@ class LidRims:
     spread: FloatArray
 
     def correction(self, response: Response) -> RegionMatrix:
-        """Compute what a deformer lacks so that the rims meet when the landmarks do.
+        """Compute the matrix to add to that of a deformer so that the rims meet when the landmarks do.
 
-        Parameters
-        ----------
-        response : callable
-            Returns rows of the deformer's matrix, (N, 66), for vertices (N,).
-
-        Returns
-        -------
-        RegionMatrix
-            A matrix to be added to that of the deformer.
-
-        Notes
-        -----
-        Let the landmarks of the upper lid move onto those of the lower one, by g_1 and g_2. A vertex of the upper rim
-        then lacks r along them to reach the place of the lower rim that corresponds to it. It moves by (equation 5.8)
-        ``sum_j r w_j / |g_j| (d_j - e_j)`` in addition, where d_j and e_j are the displacements of the landmarks of the
-        upper and the lower lid, and w_j is the weight of the pair at its position along the rim.
+        `response` returns rows (N, 66) of the deformer's matrix for vertices (N,). Let the landmarks of the upper lid
+        move onto those of the lower one, by g_1 and g_2. A vertex of the upper rim then lacks r along them to reach the
+        place of the lower rim that corresponds to it. It moves by (equation 5.8) ``sum_j r w_j / |g_j| (d_j - e_j)`` in
+        addition, where d_j and e_j are the displacements of the landmarks of the upper and the lower lid, and w_j is
+        the weight of the pair at its position along the rim.
         """
         upper, lower = self.landmarks[[1, 2]], self.landmarks[[5, 4]]
         gaps = self.points[lower] - self.points[upper]
@@ -114,15 +103,7 @@ class LidRims:
 def lid_rims(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[LidRims]:
     """Find the rims of both eyes, except those that are modelled shut or joined to their lids.
 
-    Parameters
-    ----------
-    vertices, faces, landmarks, region_weights : (V, 3), (F, K), (66,), (3, V) array
-        As in `HeadRig`; any frame.
-
-    Returns
-    -------
-    list of LidRims
-        One for each open eye.
+    Arrays are as in `HeadRig`, in any frame.
     """
     places = np.asarray(vertices, dtype=np.float64)
     points = places[landmarks]

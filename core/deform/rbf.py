@@ -265,17 +265,9 @@ class IncrementalDeformer:
         self._moved = np.zeros_like(self._points)
 
     def deform(self, displacements: ArrayLike, out: NDArray[np.float32] | None = None) -> NDArray[np.float32]:
-        """Deform the mesh from the coordinates of the previous frame.
+        """Deform the mesh from the coordinates of the previous frame, and return the vertices (V, 3); `out` if given.
 
-        Parameters
-        ----------
-        displacements, out
-            As for `RBFDeformer.deform`.
-
-        Returns
-        -------
-        (V, 3) float32
-            The deformed vertices, which depend on all frames since `reset`; `out` if given.
+        They depend on all frames since `reset`; displacements are as for `RBFDeformer.deform`.
         """
         moved = as_points(displacements, "displacements", count=self.n_control_points)
         if self._follow is not None:

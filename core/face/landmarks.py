@@ -101,17 +101,9 @@ _MOUTH_ENDS = MOUTH_CORNERS[:1], MOUTH_CORNERS[1:]
 
 
 def lid_gaps(points: FloatArray) -> FloatArray:
-    """Signed gaps between facing landmarks of the lids, two of the right eye and two of the left.
+    """Signed gaps (..., 4) between facing landmarks of the lids, first of the right eye, in the unit of the points.
 
-    Parameters
-    ----------
-    points : (..., 66, 2) or (..., 66, 3) array
-        Image or head frame; depth is ignored.
-
-    Returns
-    -------
-    (..., 4) float64
-        Gaps in the unit of the points (equation 3.7).
+    Equation 3.7, of points (..., 66, 2) or (..., 66, 3) in the image or head frame, of which depth is ignored.
     """
     return _across(_between(points, *_EYE_ENDS), _between(points, UPPER_LIDS, LOWER_LIDS))
 

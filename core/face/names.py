@@ -153,13 +153,8 @@ def _without_nodes(name: str) -> Iterator[str]:
 def names_of(keys: Iterable[str], known: Set[str]) -> dict[str, set[str]]:
     """Return the normalised names for which each key may stand.
 
-    A key stands for its name with and without that of its node. One that is not known may have a prefix and a suffix
+    A key stands for its name with and without that of its node. One that is not `known` may have a prefix and a suffix
     that are not of its name: those without which many keys would be known. Digits in them may differ.
-
-    Parameters
-    ----------
-    known : set of str
-        Normalised names of all known keys.
     """
     names = {key: set(map(normalised, _without_nodes(key))) for key in keys}
     taken = set().union(*names.values())

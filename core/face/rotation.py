@@ -12,17 +12,9 @@ from ..numeric.arrays import FloatArray
 
 
 def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
-    """Return the rotation matrix of Euler angles, ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
+    """Return the rotation matrix of angles in radians, ``R = Rz(roll) Ry(yaw) Rx(pitch)``.
 
-    Parameters
-    ----------
-    pitch, yaw, roll : float
-        Angles in radians; positive pitch looks down, positive yaw turns to the viewer's left.
-
-    Returns
-    -------
-    (3, 3) float64
-        The rotation.
+    Positive pitch looks down, positive yaw turns to the viewer's left.
     """
     cx, sx, cy, sy, cz, sz = cos(pitch), sin(pitch), cos(yaw), sin(yaw), cos(roll), sin(roll)
     return np.array(
@@ -43,17 +35,9 @@ def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def from_face_axes(x: float, y: float, z: float) -> FloatArray:
-    """Convert angles about the axes of ARKit's face anchor: to the viewer's right, up, and towards the viewer.
+    """Convert radians about the axes of ARKit's face anchor: to the viewer's right, up, and towards the viewer.
 
-    Parameters
-    ----------
-    x, y, z : float
-        Angles in radians; the head turns about z first, then x, then y.
-
-    Returns
-    -------
-    (3,) float64
-        Pitch, yaw and roll in radians, as for `euler_to_matrix`.
+    The head turns about z first, then x, then y. The result (3,) is pitch, yaw and roll, as for `euler_to_matrix`.
     """
     turn = euler_to_matrix(0.0, -y, 0.0) @ euler_to_matrix(x, 0.0, 0.0) @ euler_to_matrix(0.0, 0.0, -z)
     return np.array(matrix_to_euler(turn))
@@ -67,22 +51,8 @@ def to_face_axes(rotation: FloatArray) -> tuple[float, float, float]:
 
 
 def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
-    """Fit a rotation about the origin: minimise ``sum_i |R source_i - target_i|^2``.
+    """Fit a rotation R about the origin to points (N, 3): minimise ``sum_i |R source_i - target_i|^2``.
 
-    Parameters
-    ----------
-    source : (N, 3) float64
-        Points.
-    target : (N, 3) float64
-        Corresponding points.
-
-    Returns
-    -------
-    (3, 3) float64
-        The rotation R.
-
-    Notes
-    -----
     Kabsch 1976; the sign of the determinant after Umeyama 1991.
     """
     # LAPACK itself: the checks of `linalg.svd` take three times as long as a matrix of this size.
@@ -92,23 +62,9 @@ def fit_rotation(source: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> FloatArray:
-    """Interpolate rotations along the shortest path at constant speed.
+    """Interpolate rotations (N, 3) along the shortest path at constant speed; a share of 0 gives `first`, 1 `second`.
 
-    Parameters
-    ----------
-    first, second : (N, 3) float64
-        Position between the two: 0 gives `first`, 1 gives `second`.
-    share : (N,) float64
-        0 gives `first`, 1 gives `second`.
-
-    Returns
-    -------
-    (N, 3) float64
-        Angles with |yaw| <= pi / 2.
-
-    Notes
-    -----
-    Spherical linear interpolation of quaternions (Shoemake 1985).
+    Spherical linear interpolation of quaternions (Shoemake 1985). The result has |yaw| <= pi / 2.
     """
     rotations = linalg.part("spatial.transform").Rotation
     start, end = rotations.from_euler("xyz", first), rotations.from_euler("xyz", second)

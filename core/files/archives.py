@@ -123,8 +123,7 @@ def read_archive(data: bytes, limit: int = MAX_BYTES) -> Archive:
 
 @contextmanager
 def open_shipped(path: Path, form: str) -> Iterator[Archive]:
-    """Open an archive of the assets whose array "format" is `form`, and raise whatever is wrong with it as a
-    ModelError.
+    """Open an archive of the assets whose array "format" is `form`, and raise what is wrong with it as a ModelError.
 
     Files may be missing, damaged or of a different version. A ValueError within the context becomes a ModelError, too.
     """

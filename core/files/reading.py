@@ -62,7 +62,7 @@ def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str
 
 
 def as_number(value: Any, name: str, low: float, high: float) -> float:
-    """Return `value` if it is a number from `low` to `high`, both included; raises ValueError, with `name`, if not."""
+    """Return `value` if it is a number from `low` to `high`, ends included; raises ValueError, with `name`, if not."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise DataError(
             "{name} is {value}, not a number from {low:g} to {high:g}",
@@ -75,7 +75,8 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
 
 
 def as_integer(value: Any, name: str, low: int, high: int) -> int:
-    """Return `value` if it is an integer from `low` to `high`, both included; raises ValueError, with `name`, if not.
+    """Return `value` if it is an integer from `low` to `high`, ends included; raises ValueError, with `name`,
+    otherwise.
     """
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise DataError(

@@ -70,9 +70,7 @@ class Setting:
         return type(self.default)
 
     def checked(self, value: Any, name: str) -> Any:
-        """Return a value, in the unit of the field, as the field stores it; raises ValueError, with `name`, if it
-        cannot.
-        """
+        """Return a value, in the unit of the field, as the field stores it; raises ValueError if it cannot have it."""
         if self.kind is float:
             low, high = self._range()
             value = as_number(value, name, low - _ROUNDING * abs(low), high + _ROUNDING * abs(high))

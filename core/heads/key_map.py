@@ -321,10 +321,10 @@ def _by_name(keys: tuple[str, ...], known: frozenset[str]) -> dict[str, list[str
 
 
 def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], start: KeyMap) -> KeyMap:
-    """Learn the gains of K shape keys from P frames that the user posed (equation 9.6).
+    """Learn the gains of K shape keys from P frames that the user posed (equation 9.7).
 
-    From coefficients (P, 52) and the values of the keys (P, K). A few poses leave most gains undetermined; these keep
-    the values of `start`, as all its offsets do.
+    The frames have coefficients (P, 52) and values of the keys (P, K). A few poses leave most gains undetermined; these
+    keep the values of `start`, as all its offsets do.
     """
     names = COEFFICIENTS
     coefficients = np.asarray(coefficients, dtype=np.float64)

@@ -35,8 +35,7 @@ class NearestPoints:
         self._index = cv2.flann_Index(self._points, tree)  # type: ignore[attr-defined] # missing from its stubs
 
     def query(self, places: FloatArray, count: int = 1) -> tuple[NDArray[np.intp], FloatArray]:
-        """Find `count` points for each of M places (M, D): indices and squared distances (M, count), the nearest first.
-        """
+        """Find the `count` points nearest to each place (M, D): indices and squared distances (M, count), ascending."""
         queries = np.ascontiguousarray(places, dtype=np.float32)
         if not len(queries):  # the index would return None
             return np.empty((0, count), dtype=np.intp), np.empty((0, count), dtype=np.float32)
@@ -133,9 +132,7 @@ class SurfaceGraph:
         return found
 
     def path_lengths(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
-        """Compute the length (V,) of the shortest path along edges from each vertex to any seed; infinite beyond
-        `limit`.
-        """
+        """Compute the length (V,) of the shortest path along edges to any seed; infinite beyond `limit`."""
         return self._search(seeds, limit)[0]
 
     def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:
@@ -143,9 +140,7 @@ class SurfaceGraph:
         return np.maximum(self._search(seeds)[2], -1)
 
     def path(self, start: int, end: int) -> list[int]:
-        """Find the shortest path along edges, as vertices from `start` to `end`; only these two if they are not
-        connected.
-        """
+        """Find the shortest path along edges, from `start` to `end`; only these two if they are not connected."""
         before, path = self._search([start])[1], [end]
         while path[-1] != start and before[path[-1]] >= 0:
             path.append(int(before[path[-1]]))

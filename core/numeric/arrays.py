@@ -22,26 +22,7 @@ def as_points(
 ) -> FloatArray:
     """Convert to a contiguous (N, 3) array of floats.
 
-    Parameters
-    ----------
-    values : array_like
-        The points.
-    name : str
-        Name of the argument, for messages.
-    count : int, optional
-        Required N.
-    error : type
-        Exception to raise.
-
-    Returns
-    -------
-    (N, 3) float64
-        The points.
-
-    Raises
-    ------
-    error
-        If the shape is wrong, or a value is NaN or infinite.
+    Raises `error`, with the name, if the shape is wrong, N is not `count`, or a value is NaN or infinite.
     """
     array: FloatArray = np.ascontiguousarray(values, dtype=np.float64)
     expected = f"({'N' if count is None else count}, 3)"
@@ -58,27 +39,10 @@ def as_points(
 
 
 def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
-    """Convert to an 8-bit grey (H, W) or BGR (H, W, 3) image.
+    """Convert to a contiguous 8-bit grey (H, W) or BGR (H, W, 3) image.
 
     Alpha is dropped. 16-bit images are reduced to 8 bits. Floats are expected from 0 to 1; those that are not finite
-    become black.
-
-    Parameters
-    ----------
-    frame : array_like
-        (H, W), (H, W, 1), (H, W, 3) or (H, W, 4).
-    name : str
-        Name of the argument, for messages.
-
-    Returns
-    -------
-    ndarray of uint8
-        The image, contiguous.
-
-    Raises
-    ------
-    FacemimeError
-        If the shape or the type is not that of an image, or the image is empty.
+    become black. Raises FacemimeError, with the name, if the shape or the type is not that of an image, or it is empty.
     """
     image = np.asarray(frame)
     if image.ndim == 3 and image.shape[2] == 1:

@@ -23,7 +23,7 @@ def bounded_least_squares(
     upper: FloatArray,
     start: FloatArray | None = None,
 ) -> FloatArray:
-    """Minimise ``|A x - y|^2`` subject to ``lower <= x <= upper``, for many y.
+    """Minimise ``|A x - y|^2`` exactly, subject to ``lower <= x <= upper``, for many y: solutions (N, K).
 
     Parameters
     ----------
@@ -35,11 +35,6 @@ def bounded_least_squares(
         Bounds, which may be infinite, with ``lower < upper``.
     start : (N, K) array, optional
         Points near the solutions, such as those of similar y. The solutions do not depend on them, but take less time.
-
-    Returns
-    -------
-    (N, K) float64
-        The exact solutions.
 
     Raises
     ------
@@ -67,29 +62,7 @@ def bounded_least_squares(
 def bounded_minimum(
     gram: FloatArray, product: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray
 ) -> FloatArray:
-    """Minimise ``x^T gram x / 2 - product^T x`` subject to ``lower <= x <= upper``, from a point near the minimum.
-
-    Parameters
-    ----------
-    gram : (K, K) array
-        Matrix, positive definite.
-    product : (K,) array
-        Linear term.
-    lower, upper : (K,) array
-        Bounds, with ``lower < upper``.
-    start : (K,) array
-        Starting point, within the bounds.
-
-    Returns
-    -------
-    (K,) float64
-        The exact minimum.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite.
-    """
+    """Minimise ``x^T gram x / 2 - product^T x`` as `bounded_least_squares` does, from a point near the minimum."""
     return np.asarray(bounded_least_squares(gram, product[None], lower, upper, start[None])[0])
 
 

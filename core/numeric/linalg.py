@@ -55,22 +55,8 @@ def __getattr__(name: str) -> Any:
 
 
 def multiply(left: FloatArray, right: FloatArray) -> NDArray[Any]:
-    """Multiply matrices, or a matrix and a vector.
+    """Multiply matrices, or a matrix and a vector; in single precision if that of one of them is.
 
-    Parameters
-    ----------
-    left : (M, K) or (K,) array
-        `A`.
-    right : (K, N) or (K,) array
-        `B`; not both are vectors.
-
-    Returns
-    -------
-    (M, N), (M,) or (N,) array
-        ``A B``, in single precision if that of one of them is single, otherwise in double precision.
-
-    Notes
-    -----
     scipy keeps Python's lock during a product, unlike numpy and OpenCV. What is computed in a thread while Blender's
     window is in use should consist of products that take milliseconds.
     """
@@ -98,26 +84,7 @@ def _by_columns(matrix: FloatArray) -> tuple[FloatArray, bool]:
 def solve_definite(matrix: FloatArray, right: FloatArray) -> FloatArray:
     """Solve a small symmetric positive definite system, in a fifth of the time that `solve` takes.
 
-    Parameters
-    ----------
-    matrix : (K, K) float64
-        The matrix.
-    right : (K,) float64
-        The right-hand side.
-
-    Returns
-    -------
-    (K,) float64
-        The solution.
-
-    Raises
-    ------
-    LinAlgError
-        If the matrix is singular.
-
-    Notes
-    -----
-    A matrix that is not definite because of rounding takes longer.
+    A matrix that is not definite because of rounding takes longer. Raises LinAlgError if the matrix is singular.
     """
     lapack = _scipy().lapack
     _, solution, fault = lapack.dposv(matrix.T, right)

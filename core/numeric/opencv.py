@@ -28,10 +28,7 @@ def silence_opencv() -> None:
 def read_network(onnx: bytes) -> cv2.dnn.Net:
     """Read a network in ONNX format.
 
-    Raises
-    ------
-    ModelError
-        If this version of OpenCV is not supported, or cannot read the network.
+    Raises ModelError if this version of OpenCV is not supported, or cannot read the network.
     """
     version = tuple(int(part) for part in re.findall(r"\d+", cv2.__version__)[:2])
     if not _SUPPORTED[0] <= version < _SUPPORTED[1]:
@@ -95,21 +92,9 @@ def encode_network(
     inputs: Mapping[str, tuple[int, ...]],
     constants: Mapping[str, NDArray[np.float32]] | None = None,
 ) -> bytes:
-    """Encode a network whose output is the result of its last node.
+    """Encode a network whose output is the result of its last node; each node follows those whose results it uses.
 
-    Parameters
-    ----------
-    nodes : sequence of Node
-        Operations, each after those whose results it uses.
-    inputs : mapping of str to tuple of int
-        Shapes of the inputs; OpenCV accepts others with as many dimensions.
-    constants : mapping of str to float32 array, optional
-        Constants by name.
-
-    Returns
-    -------
-    bytes
-        The network.
+    The inputs are shapes; OpenCV accepts others with as many dimensions.
     """
     graph: list[_Field] = [(1, _node(node)) for node in nodes]
     graph += [(2, "network")]

@@ -214,10 +214,7 @@ def module_folders() -> str:
 def python_executable() -> str:
     """Return the Python executable that runs here, also inside Blender; never another one from PATH.
 
-    Raises
-    ------
-    SourceError
-        If there is none.
+    Raises SourceError if there is none.
     """
     version = f"python{sys.version_info.major}.{sys.version_info.minor}"
     own = [sys.executable] if "python" in Path(sys.executable or "").name.lower() else []
@@ -231,17 +228,7 @@ def python_executable() -> str:
 def explain_failure(failure: str, device: str) -> str:
     """Explain a failure of a camera, and what to do.
 
-    Parameters
-    ----------
-    failure : str
-        Reason given by `camera_process`, or "hangs", "died" or "no python".
-    device : str
-        As in `CameraSettings`.
-
-    Returns
-    -------
-    str
-        Message for the user.
+    The failure is a reason given by `camera_process`, or "hangs", "died" or "no python".
     """
     path = Path(f"/dev/video{device}") if device.isdecimal() and sys.platform == "linux" else None
     if failure in ("closed", "silent") and path is not None:
@@ -286,19 +273,9 @@ class CameraName:
 
 
 def parse_device(text: str, cameras: Sequence[CameraName]) -> str:
-    """Parse the device that a user chose or typed.
+    """Parse the device that a user chose or typed: a number, an address, or a `CameraName` as text.
 
-    Parameters
-    ----------
-    text : str
-        A number, an address, or a `CameraName` as text.
-    cameras : sequence of CameraName
-        Cameras of the computer.
-
-    Returns
-    -------
-    str
-        Device as in `CameraSettings`. A named camera is found by its name if its number has changed.
+    A named camera is found by its name if its number has changed.
     """
     number, separator, name = text.strip().partition(": ")
     if not (separator and number.isdecimal()):

@@ -18,15 +18,7 @@ CHARACTER_SUFFIXES = (
 
 @dataclass(frozen=True)
 class HeadFile:
-    """A head in a file.
-
-    Attributes
-    ----------
-    path : Path
-        A .blend file, or one of another program.
-    name : str
-        Name of the object; "" for the only one with landmarks.
-    """
+    """The head `name` in a .blend file, or one of another program; "" for the only object with landmarks."""
 
     path: Path
     name: str = ""

@@ -53,17 +53,8 @@ _LEFT = 10.0
 class PerformerLearner:
     """Improves the neutral face of a live performance, slowly, as more of the performer is seen.
 
-    A calibrated neutral face keeps its shape; only where its eyes are shut is learnt.
-
-    Parameters
-    ----------
-    neutral : Neutral
-        Neutral face to start from.
-
-    Attributes
-    ----------
-    neutral : Neutral
-        The current neutral face; another object if it has changed.
+    A calibrated neutral face keeps its shape; only where its eyes are shut is learnt. `neutral` is another object if it
+    has changed.
     """
 
     def __init__(self, neutral: Neutral) -> None:
@@ -79,18 +70,9 @@ class PerformerLearner:
         return self._seen >= _ENOUGH
 
     def add(self, time: float, result: TrackResult) -> Neutral:
-        """Learn from a frame.
+        """Learn from a frame, smoothed as for display, in 2 ms, and return the neutral face.
 
-        Parameters
-        ----------
-        time : float
-            Time in seconds. If it decreases, as when a video starts over, everything is forgotten.
-        result : TrackResult
-            Result at that time, smoothed as for display.
-
-        Notes
-        -----
-        It takes 2 ms.
+        If the time in seconds decreases, as when a video starts over, everything is forgotten.
         """
         if not result.found:
             return self.neutral
@@ -124,13 +106,7 @@ class PerformerLearner:
 
 
 class _Rest:
-    """Searches frames that are spread over the performance for the face at rest, in small steps.
-
-    Attributes
-    ----------
-    found : Neutral or None
-        The face at rest; None until it is found.
-    """
+    """Searches frames that are spread over the performance for the face at rest, in small steps until it is found."""
 
     def __init__(self) -> None:
         self.found: Neutral | None = None
@@ -164,10 +140,7 @@ class _Rest:
 class _Blinks:
     """Measures how far lids stay apart in blinks.
 
-    Attributes
-    ----------
-    left : float
-        Aperture of the eyes in a usual blink, in eye distances; NaN before the first blink.
+    `left` is the aperture of the eyes in a usual blink, in eye distances; NaN before the first blink.
     """
 
     def __init__(self) -> None:

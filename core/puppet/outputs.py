@@ -42,29 +42,7 @@ class LiveKeys:
 
 
 class KeyDriver:
-    """Drives a head by its shape keys; the pose comes from a `HeadDriver`.
-
-    Parameters
-    ----------
-    head : HeadDriver
-        Driver of the pose.
-    neutral : Neutral
-        Neutral face of `head`, not mirrored.
-    keys : LiveKeys
-        The shape keys.
-
-    Attributes
-    ----------
-    head : HeadDriver
-        As given.
-    keys : LiveKeys
-        As given.
-
-    Attributes
-    ----------
-    head : HeadDriver
-    keys : LiveKeys
-    """
+    """Drives a head by its shape keys, and its pose by a `HeadDriver` with the same neutral face, not mirrored."""
 
     def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
         self.head, self.keys = head, keys
@@ -135,26 +113,11 @@ class HeadDrivers:
         result: TrackResult,
         chosen: tuple[int, ...] | None = None,
     ) -> tuple[tuple[HeadFrame, ...], tuple[Any, ...]]:
-        """Drive heads by a result of a performer.
+        """Drive heads by a result of a performer, and return their frames, and what `LiveHead.prepare` made of each.
 
-        Parameters
-        ----------
-        heads : tuple of LiveHead
-            The heads. If this or `neutral` is another object than before, drivers are prepared; deformers of unchanged
-            rigs are reused.
-        neutral : Neutral or None
-            The performer's neutral face; None for no frames.
-        result : TrackResult
-            Result of the performer; without a face there are no frames.
-        chosen : tuple of int, optional
-            The heads that this performer drives; by default all. The others keep their last frame, initially at rest.
-
-        Returns
-        -------
-        frames : tuple of HeadFrame
-            Frame of each head.
-        prepared : tuple
-            Result of `LiveHead.prepare` for each head.
+        If `heads` or `neutral` is another object than before, drivers are prepared; deformers of unchanged rigs are
+        reused. Without a neutral face, or a face in the result, there are no frames. The performer drives the `chosen`
+        heads, by default all. The others keep their last frame, initially at rest.
         """
         if neutral is not None and result.found:
             self._update(heads, neutral, result, chosen)
@@ -210,13 +173,7 @@ class Recorder(Protocol):
     """Interface of a recording."""
 
     def append(self, frame: LiveFrame, result: TrackResult) -> None:
-        """Record a frame.
-
-        Parameters
-        ----------
-        result : TrackResult
-            Its result, as tracked.
-        """
+        """Record a frame and its result, as tracked."""
 
     def flush(self) -> None:
         """Write pending frames to the disk."""
@@ -245,18 +202,10 @@ class Output(Protocol):
     def send(
         self, time: float, result: TrackResult, neutral: Neutral | None, size: tuple[int, int] | None = None
     ) -> None:
-        """Pass on a frame.
+        """Pass on a frame and its result, smoothed according to the options.
 
-        Parameters
-        ----------
-        time : float
-            Time in the source in seconds.
-        result : TrackResult
-            Result of the performer, smoothed according to the options.
-        neutral : Neutral or None
-            The performer's neutral face; None if it is not known.
-        size : (int, int), optional
-            Width and height of the image in pixels.
+        `time` is in the source in seconds, `neutral` is None if it is not known, and `size` is the width and height of
+        the image in pixels.
         """
 
     def close(self) -> None:
@@ -265,13 +214,7 @@ class Output(Protocol):
 
 @runtime_checkable
 class DrivenOutput(Output, Protocol):
-    """Interface of an output whose content depends on how a frame moves a head.
-
-    Attributes
-    ----------
-    options : DriveSettings
-        The current options; may be assigned at any time.
-    """
+    """Interface of an output that depends on how a frame moves a head; its options may be assigned at any time."""
 
     options: DriveSettings
 
@@ -280,14 +223,4 @@ class Display(Protocol):
     """Interface of a display of the driven heads elsewhere, such as a viewer. It must neither wait nor raise."""
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
-        """Show a frame.
-
-        Parameters
-        ----------
-        taken : float
-            `time.perf_counter()` when the frame arrived.
-        drivers : sequence of HeadDriver or KeyDriver
-            Drivers of the heads.
-        frames : sequence of HeadFrame
-            Frame of each head; empty if there is no face.
-        """
+        """Show frames of heads, none if there is no face, which arrived when `time.perf_counter()` was `taken`."""

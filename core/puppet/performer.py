@@ -57,17 +57,9 @@ class Performance:
 
     @classmethod
     def of(cls, take: Take, settings: PuppetSettings) -> Performance:
-        """Prepare the performance in a take.
+        """Smooth a take and find its neutral face by the settings.
 
-        Parameters
-        ----------
-        settings : PuppetSettings
-            Smoothing, neutral face and driving.
-
-        Raises
-        ------
-        SourceError
-            If the take has no face, or none in the neutral second of the settings.
+        Raises SourceError if the take has no face, or none in the neutral second of the settings.
         """
         take = smooth_take(take, settings.smoothing)
         return cls(take, calibrate(take, settings.neutral), settings.drive)
@@ -95,14 +87,9 @@ class Quality:
 
 
 class NeutralCalibration:
-    """Collects results for about a second and averages them.
+    """Collects results for about a second, from the first one with a face, and averages them.
 
-    Parameters
-    ----------
-    asked : bool
-        Whether the performer was asked to rest. If not, expressions are removed from the face.
-    duration : float
-        Time in seconds from the first result with a face.
+    If the performer was not asked to rest, expressions are removed from the face.
     """
 
     def __init__(self, *, asked: bool = True, duration: float = DURATION) -> None:
@@ -114,15 +101,7 @@ class NeutralCalibration:
         return len(self._recorder)
 
     def add(self, time: float, result: TrackResult) -> bool:
-        """Add a result.
-
-        Parameters
-        ----------
-        time : float
-            Time in seconds.
-        result : TrackResult
-            Result at that time.
-        """
+        """Add a result at a time in seconds, and return whether there are enough."""
         if len(self._recorder) == 0:
             self._since = time
         self._recorder.append(time, result)
@@ -155,14 +134,9 @@ class NeutralCalibration:
 
 
 class RangeCalibration:
-    """Collects results for some seconds in which the performer shuts the eyes and opens the mouth wide.
+    """Extends a neutral face by results of the seconds in which the performer shuts the eyes and opens the mouth wide.
 
-    Parameters
-    ----------
-    neutral : Neutral
-        The neutral face to extend.
-    duration : float
-        Time in seconds from the first result.
+    It lasts `duration` seconds from the first result.
     """
 
     def __init__(self, neutral: Neutral, duration: float = RANGE_DURATION) -> None:
@@ -172,13 +146,7 @@ class RangeCalibration:
         self._since: float | None = None
 
     def add(self, time: float, result: TrackResult) -> bool:
-        """Add a result.
-
-        Parameters
-        ----------
-        time, result
-            As for `NeutralCalibration.add`.
-        """
+        """Add a result at a time in seconds, and return whether there are enough."""
         self._since = time if self._since is None else self._since
         if result.found:
             self._shapes.append(result.shape)
@@ -205,17 +173,10 @@ class RangeCalibration:
 
 
 class Performer:
-    """The current knowledge of a performer.
-
-    Parameters
-    ----------
-    neutral : Neutral, optional
-        The neutral face; by default the first second with a face is used.
+    """The current knowledge of a performer, whose neutral face is by default found in the first second with a face.
 
     Attributes
     ----------
-    neutral : Neutral or None
-        The neutral face.
     quality : Quality or None
         Quality of the last calibration.
     result : TrackResult or None
@@ -261,21 +222,10 @@ class Performer:
         self._learner = None
 
     def add(self, frame: LiveFrame, seen: TrackResult, *, smoothing: float, learn: bool) -> TrackResult:
-        """Add a frame.
+        """Add a frame and its result, as tracked, and return the one to display.
 
-        Parameters
-        ----------
-        seen : TrackResult
-            Its result, as tracked.
-        smoothing : float
-            Amount for `ResultSmoother`; 0 disables smoothing.
-        learn : bool
-            Whether to learn from the frame.
-
-        Returns
-        -------
-        TrackResult
-            Result for display: returned to rest if the source has stopped, and smoothed.
+        It is returned to rest if the source has stopped, and smoothed by the amount for `ResultSmoother`, 0 for none.
+        `learn` is whether to learn from the frame.
         """
         self._adopt(frame.neutral)
         if not frame.filled:

@@ -37,24 +37,9 @@ def to_json(values: Values) -> str:
 
 
 def from_json(text: str, known: Settings) -> Values:
-    """Parse a preset.
+    """Parse a preset, and return its checked values of the `known` settings by group; others are ignored.
 
-    Parameters
-    ----------
-    text : str
-        The text of a preset.
-    known : mapping of str to (mapping of str to Setting)
-        Known settings by group; others in the text are ignored.
-
-    Returns
-    -------
-    dict of str to dict
-        The checked values of those known settings that the preset contains.
-
-    Raises
-    ------
-    SourceError
-        If the text is not a preset, or a value is out of its range.
+    Raises SourceError if the text is not a preset, or a value is out of its range.
     """
     try:
         data = parse_format(text, _FORMAT)
@@ -72,10 +57,7 @@ def from_json(text: str, known: Settings) -> Values:
 def file_name(name: str) -> str:
     """Return the file name of the preset `name`, which is the same on every system.
 
-    Raises
-    ------
-    OutputError
-        If no file can have that name.
+    Raises OutputError if no file can have that name.
     """
     clean = name.strip()
     odd = any(letter in _FORBIDDEN or not letter.isprintable() for letter in clean)
@@ -112,10 +94,7 @@ def built_in_path(name: str) -> Path:
 def read_preset(path: Path) -> Values:
     """Read a preset, and return the values of its settings by group.
 
-    Raises
-    ------
-    SourceError
-        If the file is missing or not a preset.
+    Raises SourceError if the file is missing or not a preset.
     """
     try:
         return from_json(read_text(path), CONTENTS)

@@ -33,12 +33,7 @@ _ENDING = 20.0
 class ReferenceVideo:
     """A video that is written in the background, until `close`.
 
-    Parameters
-    ----------
-    path : Path
-        The file, with `SUFFIX`; it is created with the first frame.
-    fps : float
-        Frames per second of the file.
+    The file, with `SUFFIX`, is created with the first frame.
     """
 
     def __init__(self, path: Path, fps: float) -> None:
@@ -50,15 +45,7 @@ class ReferenceVideo:
         self._thread.start()
 
     def add(self, time: float, image: NDArray[np.uint8]) -> None:
-        """Add a frame, without waiting.
-
-        Parameters
-        ----------
-        time : float
-            Time in seconds since the first frame.
-        image : (H, W, 3) or (H, W) uint8
-            BGR or grey.
-        """
+        """Add an image, BGR (H, W, 3) or grey (H, W), without waiting, at a time in seconds since the first one."""
         if self._bytes + image.nbytes <= _ROOM and self._thread.is_alive():
             self._count(image.nbytes)
             self._waiting.put((time, image.copy()))

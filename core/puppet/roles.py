@@ -26,21 +26,10 @@ class PeopleRoles:
         self._seen: dict[int, float] = {}
 
     def assign(self, wanted: Sequence[int], in_view: Collection[int], time: float) -> dict[int, tuple[int, ...]]:
-        """Assign the people in view.
+        """Assign the people in view, and return the heads of each person who drives some, whether in view or not.
 
-        Parameters
-        ----------
-        wanted : sequence of int
-            For each head, the number of its person from 1, or 0 for anybody.
-        in_view : collection of int
-            Numbers of the people in view, from 0.
-        time : float
-            Time in seconds.
-
-        Returns
-        -------
-        dict of int to tuple of int
-            The heads of each person who drives some, whether in view or not.
+        For each head, `wanted` is the number of its person from 1, or 0 for anybody; `in_view` are numbers from 0. Time
+        is in seconds.
         """
         self._seen.update(dict.fromkeys(in_view, time))
         chosen = {head: person - 1 for head, person in enumerate(wanted) if person > 0}

@@ -106,10 +106,7 @@ class LiveSource(ABC):
     def read(self, timeout: float) -> LiveFrame | None:
         """Return the newest frame, or None if none came within `timeout` seconds or the source has ended or is closed.
 
-        Raises
-        ------
-        SourceError
-            If the source cannot be opened or is gone. The next call tries again.
+        Raises SourceError if the source cannot be opened or is gone. The next call tries again.
         """
 
     @abstractmethod
@@ -125,21 +122,9 @@ class Clock:
         return perf_counter()
 
     def wait_until(self, due: float, timeout: float, closed: threading.Event) -> bool:
-        """Wait for a moment.
+        """Wait for a moment on the scale of `now`, and return whether it came within `timeout` seconds.
 
-        Parameters
-        ----------
-        due : float
-            The moment, on the scale of `now`.
-        timeout : float
-            Largest time to wait in seconds.
-        closed : threading.Event
-            Ends the wait when set.
-
-        Returns
-        -------
-        bool
-            Whether the moment came within the timeout.
+        `closed` ends the wait when set.
         """
         ahead = due - self.now()
         closed.wait(min(max(ahead, 0.0), timeout))

@@ -209,12 +209,7 @@ class LiveWorker:
         """End the thread, the source and any recording. May be called twice, and before `start`.
 
         If the source or the disk does not respond, this returns after some seconds anyway: `running` stays true, and
-        the thread ends by itself when it can.
-
-        Raises
-        ------
-        OutputError
-            If the end of a recording cannot be written.
+        the thread ends by itself when it can. Raises OutputError if the end of a recording cannot be written.
         """
         self._stop.set()
         self.source.close()
@@ -344,12 +339,8 @@ class LiveWorker:
     ) -> tuple[list[tuple[LiveFrame, TrackResult]], dict[int, tuple[int, ...]]]:
         """Track everybody in a frame.
 
-        Returns
-        -------
-        faces : list of (LiveFrame, TrackResult)
-            The frame and the result of each person who drives heads; of nobody if no one does yet.
-        people : dict of int to tuple of int
-            The heads of each person in view.
+        Returns the frame and the result of each person who drives heads, of nobody if no one does yet, and the heads of
+        each person in view.
         """
         assert frame.image is not None
         tracker.settings = self.options.tracking

@@ -83,9 +83,7 @@ class Casting:
         self._share()
 
     def update(self, heard: Mapping[FaceName, float], now: float) -> None:
-        """Follow the senders that are there, by the time in seconds when each face was last heard of, in order of
-        arrival.
-        """
+        """Follow the senders that are there; `heard` says when each face last came, in seconds and order of arrival."""
         waiting = False
         for role in self.roles:
             if waiting and not role.wanted and role.followed is None:

@@ -57,9 +57,7 @@ class Phone:
         return self._address is None or address[0] == self._address[0]
 
     def receiver(self, data: bytes, address: Address) -> FaceMotionReceiver | None:
-        """Return the receiver for a packet of `face_motion`, to whose sender later packets go; None for another
-        protocol.
-        """
+        """Return the receiver for a packet of `face_motion`, or None; later packets are sent to `address`."""
         if self._motion is None or not data.startswith(MAGIC):
             return None
         self._motion_address = address

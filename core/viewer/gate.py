@@ -42,15 +42,7 @@ def capacity() -> int:
 
 @dataclass(eq=False)
 class Guest:
-    """A connection.
-
-    Attributes
-    ----------
-    host : str
-        Address of the other side.
-    welcome : bool
-        Whether it has shown the token, so that it stays.
-    """
+    """A connection from a host; it is `welcome`, so that it stays, once it has shown the token."""
 
     host: str
     connection: socket.socket
@@ -73,12 +65,7 @@ class Guest:
 class Gate:
     """Listens on a socket and admits connections; has the interface of `asyncio.Server` that websockets uses.
 
-    Parameters
-    ----------
-    listener : socket.socket
-        Listening socket that does not block; it is closed at the end.
-    protocol : callable
-        Creates the protocol of a connection.
+    The listening socket does not block, and is closed at the end. `protocol` creates the protocol of a connection.
     """
 
     def __init__(

@@ -46,20 +46,10 @@ def encode_frame(
     frames: Sequence[HeadFrame],
     follow: tuple[bool, bool],
 ) -> bytes:
-    """Encode a frame of all heads.
+    """Encode a frame of all heads, with the number of their list modulo 65,536, and its own modulo 2^32.
 
-    Parameters
-    ----------
-    scene : int
-        Number of the list of heads to which the frame belongs, modulo 65,536.
-    number : int
-        Number of the frame, modulo 2^32.
-    taken : float
-        `time.perf_counter()` when the frame arrived.
-    frames : sequence of HeadFrame
-        A frame for each head; empty if there is no face.
-    follow : (bool, bool)
-        Whether heads follow the performer's rotation and translation.
+    `taken` is `time.perf_counter()` when the frame arrived; `frames` is empty if there is no face; `follow` is whether
+    heads follow the performer's rotation and translation.
     """
     parts = [_FRAME_HEADER.pack(FRAME, len(frames), scene & 0xFFFF, number & 0xFFFFFFFF, taken)]
     for model, frame in zip(models, frames, strict=False):
@@ -71,15 +61,7 @@ def encode_frame(
 
 
 def encode_clock(sent: float, now: float) -> bytes:
-    """Encode the answer to a request for the time.
-
-    Parameters
-    ----------
-    sent : float
-        Time of the page that asked, from its request.
-    now : float
-        Time of the server in seconds.
-    """
+    """Encode the answer to a page that asked for the time: its own, and that of the server in seconds."""
     return _CLOCK.pack(CLOCK, sent, now)
 
 
@@ -163,13 +145,7 @@ def connecting(user: str, password: str) -> bytes:
 
 
 def publishing(subject: str, payload: bytes) -> bytes:
-    """Return the operation that publishes a message.
-
-    Parameters
-    ----------
-    subject : str
-        Subject of the message.
-    """
+    """Return the operation that publishes a message on a subject."""
     return f"PUB {subject} {len(payload)}\r\n".encode() + payload + _END
 
 

@@ -62,24 +62,9 @@ class ViewerModel:
 
 
 def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> ViewerModel:
-    """Prepare a head for the page.
+    """Prepare a head for the page; its patches index `HeadRig.all_vertices`.
 
-    Parameters
-    ----------
-    driver : HeadDriver or KeyDriver
-        Driver of the head.
-    appearance : Appearance
-        Appearance of the head; its patches index `HeadRig.all_vertices`.
-
-    Returns
-    -------
-    ViewerModel
-        The head for the page.
-
-    Raises
-    ------
-    HeadError
-        If the head is driven in a way that is not linear, or by too many keys.
+    Raises HeadError if the head is driven in a way that is not linear, or by too many keys.
     """
     head = driver.head if isinstance(driver, KeyDriver) else driver
     rig, unit = head.rig, head.rig.eye_distance
@@ -116,20 +101,7 @@ def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> View
 
 
 def pack(header: dict[str, object], arrays: dict[str, NDArray[np.generic]]) -> bytes:
-    """Serialise a header and arrays.
-
-    Parameters
-    ----------
-    header : dict
-        Header, which is extended by the positions of the arrays.
-    arrays : dict of str to ndarray
-        Arrays by name; each is aligned to 4 bytes.
-
-    Returns
-    -------
-    bytes
-        The content of a model.
-    """
+    """Serialise a header, which is extended by the positions of the arrays, and arrays, each aligned to 4 bytes."""
     places, chunks, offset = {}, [], 0
     for name, array in arrays.items():
         little = array.astype(array.dtype.newbyteorder("<"), copy=False)
@@ -242,11 +214,6 @@ def _described(surface: Material, images: list[bytes]) -> dict[str, object]:
 
 class Scene:
     """The heads that are shown.
-
-    Parameters
-    ----------
-    appearances : sequence of Appearance
-        Appearance of each head.
 
     Attributes
     ----------

@@ -29,18 +29,9 @@ _DIGEST = 8
 
 @dataclass(frozen=True)
 class Content:
-    """The content of a file.
+    """The content of a file, and the same compressed by gzip, if that is smaller; `kind` is the media type.
 
-    Attributes
-    ----------
-    kind : str
-        Media type.
-    data : bytes
-        The file.
-    packed : bytes or None
-        The same compressed by gzip, if that is smaller.
-    lasting : bool
-        Whether the name contains a digest of the file, so that browsers may keep it.
+    It is `lasting` if the name contains a digest of the file, so that browsers may keep it.
     """
 
     kind: str
@@ -60,13 +51,7 @@ def digest(*contents: bytes) -> str:
 
 @lru_cache(maxsize=1)
 def page_files() -> dict[str, Content]:
-    """Return the content of each file of the page, by its path below the token.
-
-    Raises
-    ------
-    ModelError
-        If a file is missing.
-    """
+    """Return the content of each file of the page, by its path below the token; raises ModelError if one is missing."""
     files, text = {}, _read(PAGE / "index.html")
     for name, place in _PARTS.items():
         data, (stem, suffix) = _read(PAGE / place), name.split(".")
@@ -78,22 +63,10 @@ def page_files() -> dict[str, Content]:
 
 
 def security_headers(host: str, *, secure: bool) -> dict[str, str]:
-    """Return the headers of every answer.
+    """Return the headers of every answer to a host, which was checked; `secure` is whether the request came by HTTPS.
 
     The page may only run its own scripts and talk to its own server, and no other site can embed it or learn its
     address.
-
-    Parameters
-    ----------
-    host : str
-        Host of the request, which was checked.
-    secure : bool
-        Whether the request came by HTTPS.
-
-    Returns
-    -------
-    dict of str to str
-        Headers by name.
     """
     socket = f"{'wss' if secure else 'ws'}://{host}"
     return {
@@ -105,13 +78,7 @@ def security_headers(host: str, *, secure: bool) -> dict[str, str]:
 
 
 def content_policy(socket: str) -> str:
-    """Return the policy by which the page runs its own scripts only, and connects only to its server.
-
-    Parameters
-    ----------
-    socket : str
-        Address of the server's WebSocket.
-    """
+    """Return the policy by which the page runs its own scripts only, and connects only to its server's WebSocket."""
     return (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; "
         f"connect-src 'self' {socket}; base-uri 'none'; form-action 'none'"

@@ -31,14 +31,7 @@ _MAX_MESSAGE = 65536
 
 
 class RelaySender(Connecting):
-    """Sends frames to a relay until `close`. See `Display`.
-
-    Parameters
-    ----------
-    site : Site
-        The relay, and the files that pages load.
-    appearances : sequence of Appearance
-        Appearance of each head, in the order of the worker's heads.
+    """Sends frames to a relay until `close`, with the heads in the order of the worker's. See `Display`.
 
     Attributes
     ----------

@@ -60,15 +60,7 @@ _LOG.propagate = False
 
 
 class _Connection(ServerConnection):
-    """A connection of a browser, or of a stranger.
-
-    Parameters
-    ----------
-    server : Server
-        Server that it belongs to.
-    guest : Guest
-        Its place at the gate.
-    """
+    """A connection of a browser, or of a stranger, and its place at the gate."""
 
     def __init__(self, server: Server, guest: Guest) -> None:
         super().__init__(

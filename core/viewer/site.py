@@ -93,13 +93,7 @@ class Relay:
         return self
 
     def configuration(self, send: str, watch: str) -> str:
-        """Return the configuration for nats-server.
-
-        Parameters
-        ----------
-        send, watch : str
-            Passwords of the sender and of the viewers.
-        """
+        """Return the configuration for nats-server, with the passwords of the sender and of the viewers."""
         parts = urlsplit(self.url)
         security = "no_tls: true"
         if self.certificate is not None and self.key is not None:
@@ -170,15 +164,7 @@ class Site:
             _write(self.page / (name or "index.html"), content.data if name else self._index(content.data, watch))
 
     def write(self, number: int, path: str, models: tuple[ViewerModel, ...]) -> None:
-        """Write a scene: its models first, so that pages find them; OutputError if it cannot be written.
-
-        Parameters
-        ----------
-        number : int
-            Number of the scene.
-        path : str
-            Folder of its models.
-        """
+        """Write a scene: its models first, so that pages find them; raises OutputError if it cannot be written."""
         for head, model in enumerate(models):
             _write(self.page / path / str(head) / "model", model.data)
             for image, data in enumerate(model.images):

@@ -91,14 +91,9 @@ class ViewerSettings:
             ) from error
 
     def allows(self, host: str) -> bool:
-        """Return whether a request may name this host, which protects against DNS rebinding.
+        """Return whether a request may name this host, with or without a port, which protects against DNS rebinding.
 
         Allowed are names of this computer and addresses, but not names that another site has pointed here.
-
-        Parameters
-        ----------
-        host : str
-            Host of the request, with or without a port.
         """
         if _HOST.fullmatch(host) is None:
             return False
@@ -128,12 +123,7 @@ def new_token() -> str:
 def kept_token(path: Path) -> str:
     """Read a token from a file, which is created if it does not exist, so that an address stays valid.
 
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or does not contain a token.
-    OutputError
-        If the file cannot be written.
+    Raises SourceError if the file cannot be read, or does not contain a token, and OutputError if it cannot be written.
     """
     try:
         text = read_bytes(path, _MAX_TOKEN).decode("ascii").strip()
@@ -153,13 +143,7 @@ def kept_token(path: Path) -> str:
 
 
 def same_token(given: str, token: str) -> bool:
-    """Compare tokens in constant time.
-
-    Parameters
-    ----------
-    given : str
-        Token of a request.
-    """
+    """Compare the token of a request in constant time."""
     return hmac.compare_digest(given.encode(), token.encode())
 
 
