@@ -36,7 +36,6 @@ class Curve:
 
     Attributes
     ----------
-    data_path : str
     index : int
         Array index of the channel.
     values : (N,) array
@@ -61,7 +60,7 @@ def write_curves(
     add: bool = False,
     leave_drivers: bool = False,
 ) -> list[Silenced]:
-    """Animate a data-block with linear keyframes, replacing only curves that a bake wrote.
+    """Animate a data-block with linear keyframes, replacing only curves that a bake wrote; return what was muted.
 
     What else moves the same channels is muted, or the curves are added to it. Where the active action has a muted curve
     of someone else in the same channel, or is itself added to what is below it, the new ones go onto an NLA track: an
@@ -69,23 +68,16 @@ def write_curves(
 
     Parameters
     ----------
-    owner : bpy.types.ID
     name : str
         Name of the action, if the owner has none.
     frames : (N,) array
         Frames of the keyframes.
-    curves : iterable of Curve
     nla : bool
         Whether to put the curves into a new action on a new NLA track.
     add : bool
         Whether to add to animation of the same channels instead of muting it.
     leave_drivers : bool
         Whether channels with a driver are left to it, instead of muting it.
-
-    Returns
-    -------
-    list of Silenced
-        What was muted.
     """
     left = driven_paths(owner) if leave_drivers else set()
     curves = [curve for curve in curves if curve.data_path not in left]

@@ -40,7 +40,6 @@ class Member:
 
     Attributes
     ----------
-    obj : bpy.types.Object
     part : slice
         Its vertices in `HeadRig.all_vertices`.
     to_mesh : (3, 4) float64
@@ -71,13 +70,7 @@ class Member:
 
 
 def members_of(head: bpy.types.Object) -> list[Member]:
-    """Return the meshes that a performance moves: the head, and those that have vertices of moving parts.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-        A mesh with landmarks.
-    """
+    """Return the meshes that a performance moves: the head, and those that have vertices of moving parts."""
     start = len(mesh_of(head).vertices)
     members = [Member(head, slice(0, start), np.column_stack([HEAD_TO_BLENDER, np.zeros(3)]))]
     to_head = rest_matrix(head).inverted_safe()
@@ -141,13 +134,7 @@ def part_table(head: bpy.types.Object) -> list[tuple[bpy.types.Object, Part, int
 
 
 def set_part(obj: bpy.types.Object, part: Part, of: NDArray[np.bool_]) -> None:
-    """Change the part of some vertices of a mesh.
-
-    Parameters
-    ----------
-    of : (V,) bool
-        The vertices.
-    """
+    """Change the part of the vertices of a mesh that `of` (V,) marks."""
     kinds = read_kinds(mesh_of(obj))
     kinds[of] = part
     write_kinds(mesh_of(obj), kinds)
@@ -184,13 +171,7 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
 
 
 def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Return the vertices of a part of a face in the head frame, (N, 3), and the faces between them, (F, K).
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-        A mesh with landmarks.
-    """
+    """Return the vertices of a part of a face in the head frame, (N, 3), and the faces between them, (F, K)."""
     to_head = rest_matrix(head).inverted_safe()
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)], 0
     for obj in (head, *objects_of(head)):
@@ -220,10 +201,7 @@ def part_eyeballs(head: bpy.types.Object) -> NDArray[np.float64]:
 def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:
     """Return (V,) `Part` of each vertex of a mesh; skin if nothing is stored.
 
-    Raises
-    ------
-    HeadError
-        If the mesh is in Edit Mode, where Blender keeps its attributes elsewhere.
+    Raises HeadError if the mesh is in Edit Mode, where Blender keeps its attributes elsewhere.
     """
     kinds = np.zeros(len(mesh.vertices), dtype=np.int8)
     attribute = mesh.attributes.get(PART_ATTRIBUTE)
@@ -236,13 +214,7 @@ def read_kinds(mesh: bpy.types.Mesh) -> NDArray[np.int8]:
 
 
 def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer[Any]]) -> None:
-    """Store the part of each vertex of a mesh.
-
-    Parameters
-    ----------
-    kinds : (V,) array of int
-        `Part` of each vertex. If all are skin, nothing is stored.
-    """
+    """Store the `Part` of each vertex of a mesh (V,); if all are skin, nothing is stored."""
     attribute = mesh.attributes.get(PART_ATTRIBUTE)
     if attribute is not None and (not np.any(kinds) or attribute.data_type != "INT8" or attribute.domain != "POINT"):
         mesh.attributes.remove(attribute)

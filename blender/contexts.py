@@ -21,12 +21,9 @@ from ..core.errors import HeadError
 
 
 def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManager[object]:
-    """Return a context manager within which operators run in a window.
+    """Return a context manager within which operators run in a window, by default that of the context.
 
-    Parameters
-    ----------
-    window : bpy.types.Window, optional
-        By default the one of the context; timers and handlers have none and get the first.
+    Timers and handlers have none and get the first.
     """
     context = bpy.context
     windows = context.window_manager.windows
@@ -35,13 +32,7 @@ def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManage
 
 
 def scene_of(obj: bpy.types.Object) -> bpy.types.Scene:
-    """Return the scene that has an object: the one of the context if that has it.
-
-    Raises
-    ------
-    HeadError
-        If no scene has it.
-    """
+    """Return the scene that has an object, that of the context if it does; raises HeadError if no scene has it."""
     current = bpy.context.scene
     if obj.name in current.objects and current.objects[obj.name] == obj:
         return current

@@ -134,13 +134,8 @@ def is_baked(strip: bpy.types.NlaStrip) -> bool:
 def make_actions_own(owners: Iterable[bpy.types.ID]) -> None:
     """Give data-blocks of a character a copy of each action that plays elsewhere too, or is linked.
 
-    Data-blocks of the character that share an action also share its copy. Actions with slots are shared by what has the
-    same slot only.
-
-    Parameters
-    ----------
-    owners : iterable of bpy.types.ID
-        All data-blocks whose animation will be changed.
+    `owners` are all data-blocks whose animation will be changed. Those that share an action also share its copy.
+    Actions with slots are shared by what has the same slot only.
     """
     playing = [(owner, data) for owner in dict.fromkeys(owners) if (data := owner.animation_data) is not None]
     animated = [owner for owner, data in playing if data.action is not None]

@@ -86,10 +86,7 @@ def can_be_driven(obj: bpy.types.Object) -> bool:
 def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
     """Return the vertices of `mesh` at rest, (V, 3) float32 in the head frame: of the Basis if it has shape keys.
 
-    Raises
-    ------
-    HeadError
-        If a mesh without shape keys is in Edit Mode, where Blender stores its vertices elsewhere.
+    Raises HeadError if a mesh without shape keys is in Edit Mode, where Blender stores its vertices elsewhere.
     """
     flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     if mesh.shape_keys is not None:
@@ -102,14 +99,9 @@ def read_vertices(mesh: bpy.types.Mesh) -> NDArray[np.float32]:
 
 
 def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
-    """Set the vertices of a mesh without shape keys.
+    """Set the vertices (V, 3) of a mesh without shape keys, in the head frame.
 
     Before Blender 5.2 a bulk write leaves normals and bounds stale; assigning one vertex to itself updates them.
-
-    Parameters
-    ----------
-    vertices : (V, 3) float32
-        Head frame.
     """
     flat = flat_in_blender(np.ascontiguousarray(vertices, dtype=np.float32))
     mesh.attributes["position"].data.foreach_set("vector", flat)
@@ -138,24 +130,12 @@ def read_corners(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 
 
 def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
-    """Return (66,) vertex indices of the landmarks of `obj`.
-
-    Raises
-    ------
-    HeadError
-        If no landmarks are bound, or the vertex count has changed since.
-    """
+    """Return the vertices (66,) of landmarks; raises HeadError if there are none, or the vertex count has changed."""
     return _stored_landmarks(obj, LANDMARKS_PROPERTY)
 
 
 def read_places(obj: bpy.types.Object) -> NDArray[np.intp]:
-    """Return (66,) vertices at the landmarks of `obj`, or near where they would lie if its shape keys drive it.
-
-    Raises
-    ------
-    HeadError
-        As `read_landmarks`.
-    """
+    """Return the vertices (66,) at the landmarks, or near where they would lie if shape keys drive the head."""
     return _stored_landmarks(obj, KEYS_PROPERTY if driven_by_keys(obj) else LANDMARKS_PROPERTY)
 
 
@@ -183,17 +163,9 @@ def _stored_landmarks(obj: bpy.types.Object, name: str) -> NDArray[np.intp]:
 
 
 def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
-    """Read an integer or an array of integers from a custom property, which users and add-ons may have edited.
+    """Read an integer () or integers (N,) from a custom property, which users and add-ons may have edited.
 
-    Parameters
-    ----------
-    name : str
-        Name of the property.
-
-    Returns
-    -------
-    array or None
-        () or (N,) integers; None if the property is missing or has another type.
+    It is None if the property is missing or has another type.
     """
     value = mesh.get(name)
     try:
@@ -204,17 +176,9 @@ def stored_integers(mesh: bpy.types.Mesh, name: str) -> NDArray[np.intp] | None:
 
 
 def write_landmarks(mesh: bpy.types.Mesh, landmarks: NDArray[np.integer[Any]]) -> None:
-    """Store landmarks in custom properties of a mesh, which undo, saving, copying and renaming preserve.
+    """Store landmarks (66,) in custom properties of a mesh, which undo, saving, copying and renaming preserve.
 
-    Parameters
-    ----------
-    landmarks : (66,) array of int
-        Vertex indices.
-
-    Raises
-    ------
-    HeadError
-        If the mesh is linked from another file.
+    Raises HeadError if the mesh is linked from another file.
     """
     require_own(mesh)
     mesh[LANDMARKS_PROPERTY] = [int(vertex) for vertex in landmarks]
@@ -270,13 +234,7 @@ def eye_vertices(obj: bpy.types.Object) -> NDArray[np.intp]:
 
 
 def group_weights(obj: bpy.types.Object, name: str) -> NDArray[np.float32]:
-    """Return (V,) weights of the vertex group `name` of `obj`, all 0 if it has no such group.
-
-    Parameters
-    ----------
-    name : str
-        Name of a vertex group.
-    """
+    """Return (V,) weights of the vertex group `name` of `obj`, all 0 if it has no such group."""
     return np.asarray(_group_weights(obj, (name,), slice(None))[0])
 
 
@@ -293,22 +251,9 @@ def read_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def read_weights(obj: bpy.types.Object, part: slice) -> NDArray[np.float32]:
-    """Read the weights of the three regions, which takes about 0.7 us per vertex.
+    """Read the weights (3, n) of the upper, middle and lower region at n vertices, in about 0.7 us per vertex.
 
-    Parameters
-    ----------
-    part : slice
-        Vertices to read.
-
-    Returns
-    -------
-    (3, n) float32
-        Weights of the upper, middle and lower region.
-
-    Raises
-    ------
-    HeadError
-        If one of the vertex groups is missing.
+    Raises HeadError if one of the vertex groups is missing.
     """
     if missing := [name for name in REGION_GROUPS if name not in obj.vertex_groups]:
         raise HeadError(
@@ -333,19 +278,10 @@ def _group_weights(obj: bpy.types.Object, names: tuple[str, ...], part: slice) -
 
 
 def write_regions(obj: bpy.types.Object, weights: NDArray[np.floating[Any]]) -> None:
-    """Write the weights of the three regions; other vertex groups are left unchanged.
+    """Write the weights (3, V) of the upper, middle and lower region; other vertex groups are left unchanged.
 
-    Eyes that were cut out of the skin are removed from all regions, so that they stay in place under the lids.
-
-    Parameters
-    ----------
-    weights : (3, V) array
-        Weights of the upper, middle and lower region.
-
-    Raises
-    ------
-    HeadError
-        If the mesh is linked from another file.
+    Eyes that were cut out of the skin are removed from all regions, so that they stay in place under the lids. Raises
+    HeadError if the mesh is linked from another file.
     """
     require_own(mesh_of(obj))
     shares = np.array(weights)

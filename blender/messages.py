@@ -39,12 +39,8 @@ def tooltip(text: str) -> str:
 def translated(message: str, lookup: Callable[[str], str] | None = None) -> str:
     """Translate a message, and those among its values, to the language of Blender's interface.
 
-    Parameters
-    ----------
-    message : str
-        Without a template, it is looked up itself.
-    lookup : callable, optional
-        `interface` for labels; by default as for reports. Both respect the user's preferences.
+    A message without a template is looked up itself. `lookup` is `interface` for labels; by default as for reports.
+    Both respect the user's preferences.
     """
     lookup = lookup or _in_report
     if not isinstance(message, Message):

@@ -108,16 +108,9 @@ def name_them(silenced: Iterable[Silenced]) -> str:
 
 
 def mute_paths(owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True) -> list[Silenced]:
-    """Mute the curves and drivers of some data paths for a bake, and return what was muted.
+    """Mute the curves, unless `curves` is False, and drivers of some data paths for a bake, and return what was muted.
 
     Strips below are not muted, as the bake replaces what they move.
-
-    Parameters
-    ----------
-    owner : bpy.types.ID
-    paths : collection of str
-    curves : bool
-        Whether curves are muted, too.
     """
     data, muted = owner.animation_data, []
     owned = owned_paths(data)
@@ -133,14 +126,9 @@ def mute_paths(owner: bpy.types.ID, paths: Collection[str], *, curves: bool = Tr
 
 
 def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> list[Silenced]:
-    """Mute curves and tracks that a bake does not replace, until the next bake if `paths` are given.
+    """Mute curves and tracks of all or some data paths that a bake does not replace, and return what was muted.
 
-    Return what was muted.
-
-    Parameters
-    ----------
-    paths : collection of str, optional
-        Data paths that are moved; all by default.
+    They stay muted until the next bake if `paths` are given.
     """
     data = owner.animation_data
     chosen = [path for path in sorted(_moved_paths(data)) if paths is None or path in paths]

@@ -64,12 +64,8 @@ def own_mode(owner: Posable) -> str:
 def hold_own(owner: Posable, *, animated: bool = False) -> None:
     """Remember the user's own pose before `owner` is posed; does nothing if it is remembered.
 
-    Objects have no delta rotation by axis and angle, so that their mode becomes QUATERNION for the time.
-
-    Parameters
-    ----------
-    animated : bool
-        Whether the pose includes what the user's animation gives it now; what is written is otherwise added to that.
+    If `animated` is set, the pose includes what the user's animation gives it now; what is written is otherwise added
+    to that. Objects have no delta rotation by axis and angle, so that their mode becomes QUATERNION for the time.
     """
     if OWN_POSE_PROPERTY in owner:
         return
@@ -90,10 +86,7 @@ def begin_live(owner: Posable) -> None:
 def move_own(owner: Posable, values: Mapping[tuple[str, int], float]) -> None:
     """Put `owner` into the pose that the user's animation gives it in the current frame, and remember that.
 
-    Parameters
-    ----------
-    values : mapping
-        By data path and array index; other channels stay.
+    Values are by data path and array index; other channels stay.
     """
     if not values or (stored := _stored(owner)) is None:
         return
@@ -151,13 +144,7 @@ def _write(owner: Posable, stored: dict[str, Any]) -> None:
 
 
 def write_rotation(owner: Posable, rotation: Matrix) -> None:
-    """Set the rotation of the pose in the mode of `owner`.
-
-    Parameters
-    ----------
-    rotation : (3, 3) mathutils.Matrix
-        In the space of the channels.
-    """
+    """Set the rotation of the pose, in the space of the channels, in the mode of `owner`."""
     prefix, channel = prefix_of(owner), rotation_channel(owner)
     if channel == "rotation_quaternion":
         values: Any = rotation.to_quaternion()

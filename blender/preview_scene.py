@@ -58,10 +58,7 @@ class FaceView:
 def face_view(obj: bpy.types.Object) -> FaceView:
     """Return the view of a head from the front of its face, as its armature poses it at the current frame.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        Any mesh; one that is not bound is shown completely, from the front of the scene.
+    A mesh that is not bound is shown completely, from the front of the scene.
     """
     points = face_points(obj)
     if not can_be_driven(obj):
@@ -83,17 +80,9 @@ def setup_preview(
     size: tuple[int, int] = (512, 512),
     view: FaceView | None = None,
 ) -> None:
-    """Set up a camera in front of a head, and Workbench.
+    """Set up a camera in front of any mesh, and Workbench, for renders of a width and height in pixels.
 
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    head_object : bpy.types.Object
-        Any mesh.
-    size : (int, int)
-        Width and height of the render, pixels.
-    view : FaceView, optional
-        The part that is in view; by default the head in its current state.
+    `view` is the part that is in view; by default the head in its current state.
     """
     view = face_view(head_object) if view is None else view
     points = view.points
@@ -127,13 +116,7 @@ def _facing(view: FaceView) -> Matrix:
 
 
 def set_shading(scene: bpy.types.Scene, folds: float) -> None:
-    """Set up Workbench.
-
-    Parameters
-    ----------
-    folds : float
-        Size of the folds that are shaded.
-    """
+    """Set up Workbench to shade folds of a given size."""
     scene.render.engine = "BLENDER_WORKBENCH"  # type: ignore[assignment]  # engines register themselves
     scene.view_settings.view_transform = "Standard"  # type: ignore[assignment]  # depends on the configuration
     scene.display.render_aa = "8"

@@ -27,17 +27,8 @@ def add_reference(
 ) -> bpy.types.Object:
     """Add an image empty next to a head, as tall as the head, that plays a video in sync.
 
-    Parameters
-    ----------
-    offset : float
-        Time in the video at the frame `start` of the scene, seconds.
-    start : float
-        Frame of the scene at 0 s of the take.
-
-    Raises
-    ------
-    SourceError
-        If the video cannot be read.
+    `offset` is the time in the video, in seconds, at the frame `start` of the scene, which is at 0 s of the take.
+    Raises SourceError if the video cannot be read.
     """
     with VideoSource(path) as video:
         turn = video.turn
@@ -98,19 +89,9 @@ def _place(empty: bpy.types.Object, head: bpy.types.Object, aspect: float, turn:
 
 
 def add_sound(scene: bpy.types.Scene, path: Path, frame: float) -> bpy.types.Strip:
-    """Add a sound strip on a free channel.
+    """Add a sound strip of a sound file or a video on a free channel, which starts at `frame`.
 
-    Parameters
-    ----------
-    path : Path
-        A sound file or a video.
-    frame : float
-        Frame at which the sound starts.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or has no sound.
+    Raises SourceError if the file is missing or has no sound.
     """
     if not path.is_file():
         raise SourceError("The file {path} does not exist. Choose the video or the sound file of the take.", path=path)

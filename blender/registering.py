@@ -69,14 +69,9 @@ def unregister_module(module: ModuleType) -> None:
 
 
 def watch(step: Callable[[], float | None], seconds: float) -> None:
-    """Start a timer that also survives loading a file; does nothing if it is already running.
+    """Start a timer, first after `seconds`, that also survives loading a file; does nothing if it is already running.
 
-    Parameters
-    ----------
-    step : callable
-        Returns the seconds until it is called again, or None to stop.
-    seconds : float
-        Delay of the first call.
+    `step` returns the seconds until it is called again, or None to stop.
     """
     if not bpy.app.timers.is_registered(step):
         bpy.app.timers.register(step, first_interval=seconds, persistent=True)

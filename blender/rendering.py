@@ -32,30 +32,12 @@ _LEAST_SIDE = 640
 
 
 def render_frames(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, int]) -> Iterator[Image]:
-    """Render frames of a scene from its camera, with Workbench and no other render setting of the scene.
+    """Render frames, which may be fractional, of a scene from its camera as BGR images (height, width, 3).
 
-    They are rendered larger without anti-aliasing and averaged: without a graphics card this takes a fraction of the
-    time of Workbench's eight samples and looks the same.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    frames : iterable of float
-        Frames, which may be fractional.
-    size : (int, int)
-        Width and height, pixels.
-
-    Yields
-    ------
-    (height, width, 3) uint8
-        BGR image of each frame.
-
-    Raises
-    ------
-    OutputError
-        If Blender cannot draw, or the temporary folder is full.
-    SourceError
-        If the name of the temporary folder is not valid UTF-8.
+    They are rendered with Workbench and no other render setting of the scene, larger without anti-aliasing, and
+    averaged: without a graphics card this takes a fraction of the time of Workbench's eight samples and looks the same.
+    Raises OutputError if Blender cannot draw, or the temporary folder is full, and SourceError if the name of that
+    folder is not valid UTF-8.
     """
     _require_display_library()
     # Animation is evaluated in the scene that is shown only.
@@ -90,13 +72,8 @@ def _rendered(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, 
 def _picture_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Scene]:
     """Yield a new scene with the objects, camera, world and rate of another, which exists as long as the context.
 
-    A new scene has no sequence, markers, compositor, view layers, stereo, region, exposure or time remapping of the
-    user's, nor anything else that later versions of Blender add.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Set up by `setup_preview`.
+    The other one was set up by `setup_preview`. A new scene has no sequence, markers, compositor, view layers, stereo,
+    region, exposure or time remapping of the user's, nor anything else that later versions of Blender add.
     """
     picture = bpy.data.scenes.new("Facemime Picture")
     try:
@@ -135,23 +112,10 @@ def _require_display_library() -> None:
 
 
 def write_video(images: Iterable[Image], fps: float, path: Path) -> None:
-    """Write an MP4 file in H.264 with Blender's encoder.
+    """Write BGR images of the same, even size as an MP4 file in H.264 with Blender's encoder.
 
-    Parameters
-    ----------
-    images : iterable of (H, W, 3) uint8
-        BGR images of the same, even size.
-    fps : float
-        Frames per second.
-    path : Path
-        File to write.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    SourceError
-        If the name of the temporary folder is not valid UTF-8.
+    Raises OutputError if the file cannot be written, and SourceError if the name of the temporary folder is not valid
+    UTF-8.
     """
     with replacing(Path(path)) as temporary, temporary_folder() as folder:
         require_utf8_name(folder)
@@ -211,13 +175,7 @@ def _encode(folder: Path, names: list[str], size: tuple[int, int], fps: float, o
 
 
 def set_rate(scene: bpy.types.Scene, fps: float) -> None:
-    """Set the frame rate of `scene` to `fps`; fractions such as 30000/1001 are kept exactly.
-
-    Parameters
-    ----------
-    fps : float
-        Frames per second.
-    """
+    """Set the frame rate of `scene` to `fps`; fractions such as 30000/1001 are kept exactly."""
     fraction = Fraction(fps).limit_denominator(1001)
     whole = round(fps) if abs(fps - round(fps)) < 1e-3 else int(np.ceil(fps))
     scene.render.fps = whole

@@ -37,10 +37,7 @@ _VERTICES_PER_CHECK = 2048
 def read_rig(obj: bpy.types.Object | None) -> HeadRig:
     """Read the rig of `obj` from its meshes, their custom properties, attributes and vertex groups.
 
-    Raises
-    ------
-    HeadError
-        If the object is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
+    Raises HeadError if it is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
     """
     obj = object_of(obj)
     faces = read_faces(mesh_of(obj))
@@ -58,20 +55,10 @@ def _least_regions(obj: bpy.types.Object) -> NDArray[np.float32]:
 
 
 def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
-    """Compare an object with its rig in slices that are fast enough to run between two frames.
+    """Compare an object with its rig in slices that run between two frames, and yield whether each is unchanged.
 
     Reading all weights of a dense mesh takes about 0.1 s, as Blender returns them one by one; a slice takes about 2 ms.
-    Faces count as unchanged if their corners are.
-
-    Yields
-    ------
-    bool
-        Whether a slice of the object is unchanged.
-
-    Raises
-    ------
-    HeadError
-        As `read_rig`.
+    Faces count as unchanged if their corners are. Raises HeadError as `read_rig` does.
     """
     mesh_of(obj)
     parts = read_parts(obj)
@@ -96,17 +83,9 @@ def rig_checks(obj: bpy.types.Object, rig: HeadRig) -> Iterator[bool]:
 
 
 def _read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-    """Return the eyeballs of a head, which are its children or parts of its mesh.
+    """Return the centre and radius (E, 4) of a head's eyeballs, its children or parts of its mesh, in the head frame.
 
-    Parameters
-    ----------
-    landmarks : (66, 3) array
-        Positions in the head frame, which distinguish the left eye of a mesh from the right one.
-
-    Returns
-    -------
-    (E, 4) array
-        Centre and radius of each, in the head frame of `obj`.
+    The landmarks (66, 3) in the head frame distinguish the left eye of a mesh from the right one.
     """
     points = read_vertices(mesh_of(obj))[eye_vertices(obj)].astype(np.float64)
     right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)

@@ -40,10 +40,8 @@ def show_colour_images() -> None:
 class ShownColours:
     """The colours of some meshes as viewports show them in Solid shading, until `revert`.
 
-    Attributes
-    ----------
-    kind : {"TEXTURE", "VERTEX", ""}
-        How Solid shading has to colour objects; "" if the meshes have neither images nor colours of vertices.
+    `kind` is how Solid shading has to colour objects, "TEXTURE" or "VERTEX"; "" if they have neither images nor
+    colours.
     """
 
     def __init__(self, meshes: Iterable[bpy.types.Mesh]) -> None:

@@ -27,43 +27,17 @@ def shown_frames(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]]) -> N
 def frames_of(
     scene: bpy.types.Scene, times: NDArray[np.floating[Any]], start: float = 1.0
 ) -> NDArray[np.floating[Any]]:
-    """Convert times to frames of keyframes in the scene.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-    times : (N,) array
-        Seconds.
-    start : float
-        Frame at 0 s.
-
-    Returns
-    -------
-    (N,) array
-        Frames, which may be fractional.
-    """
+    """Convert seconds to frames of keyframes in the scene, which may be fractional; frame `start` is at 0 s."""
     return start + times * rate_of(scene)
 
 
 def seconds_of(scene: bpy.types.Scene, start: float = 1.0) -> float:
-    """Return the time at the current frame, seconds; the inverse of `frames_of`.
-
-    Parameters
-    ----------
-    start : float
-        Frame at 0 s.
-    """
+    """Return the seconds at the current frame, the inverse of `frames_of`."""
     return seconds_at(scene, scene.frame_current_final, start)
 
 
 def seconds_at(scene: bpy.types.Scene, frame: float, start: float = 1.0) -> float:
-    """Return the time at `frame` of the scene, seconds; frame `start` is at 0 s.
-
-    Parameters
-    ----------
-    start : float
-        Frame at 0 s.
-    """
+    """Return the time at `frame` of the scene, seconds; frame `start` is at 0 s."""
     return float((frame - start) * scene.render.fps_base / scene.render.fps)
 
 

@@ -77,13 +77,7 @@ def revealed(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
 
 
 def set_for_now(stack: ExitStack, owner: Any, name: str, value: Any) -> None:
-    """Set a property until a stack ends.
-
-    Parameters
-    ----------
-    name : str
-        Name of the property.
-    """
+    """Set a property until a stack ends."""
     before = getattr(owner, name)
     if before != value:
         stack.callback(_restore, owner, name, before)
@@ -109,14 +103,10 @@ def select_alone(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 
 
 def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector) -> Vector:
-    """Return a position where an object intersects no other: `place`, or otherwise beside the objects there.
+    """Return where an object at the origin of the scene intersects no other: `place`, or otherwise beside what is
+    there.
 
     Of the sides, the first that the scene's camera sees is taken: right, left, in front, behind; otherwise the right.
-
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        At the origin of the scene.
     """
     context.view_layer.update()
     own = _box(obj)
@@ -153,13 +143,7 @@ def _beside(
 
 
 def is_seen_by_camera(context: bpy.types.Context, place: NDArray[np.float64], radius: float) -> bool:
-    """Return whether the scene's camera sees a ball.
-
-    Parameters
-    ----------
-    place : (3,) array
-        Its centre.
-    """
+    """Return whether the scene's camera sees a ball with its centre at `place`."""
     scene, point = context.scene, Vector(place.tolist())
     camera = scene.camera
     if camera is None:

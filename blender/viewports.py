@@ -34,18 +34,7 @@ def viewports(screen: bpy.types.Screen | None) -> Iterator[Viewport]:
 
 
 def viewport_under(context: bpy.types.Context, x: int, y: int) -> Viewport | None:
-    """Find the 3D Viewport at a position in the window.
-
-    Parameters
-    ----------
-    x, y : int
-        Pixels from the lower left corner of the window.
-
-    Returns
-    -------
-    Viewport or None
-        None if another editor or region is there.
-    """
+    """Find the 3D Viewport at a pixel from the lower left corner of the window; None if another region is there."""
     for viewport in viewports(context.screen):
         region = viewport.region
         if 0 <= x - region.x < region.width and 0 <= y - region.y < region.height:
@@ -67,15 +56,7 @@ def largest_viewport(screen: bpy.types.Screen | None) -> Viewport | None:
 
 
 def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
-    """Redraw the 3D Viewports of all windows (`kind` "WINDOW") or their sidebars ("UI").
-
-    Parameters
-    ----------
-    context : bpy.types.Context
-        The context.
-    kind : str
-        Type of the areas.
-    """
+    """Redraw the 3D Viewports of all windows (`kind` "WINDOW") or their sidebars ("UI")."""
     for window in context.window_manager.windows:
         for area in window.screen.areas:
             if area.type == "VIEW_3D":
@@ -87,15 +68,7 @@ def redraw(context: bpy.types.Context, kind: str = "WINDOW") -> None:
 def is_hidden_by_others(
     context: bpy.types.Context, seen: Viewport, points: NDArray[np.floating[Any]], own: Collection[bpy.types.Object]
 ) -> bool:
-    """Return whether most of some points are behind other objects.
-
-    Parameters
-    ----------
-    points : (N, 3) array
-        Points of a surface in the world.
-    own : collection of bpy.types.Object
-        The objects that may be in front of them.
-    """
+    """Return whether most points (N, 3) of a surface in the world are behind objects other than `own`."""
     towards = seen.view.view_rotation @ Vector((0.0, 0.0, 1.0))
     step = 1e-3 * float(np.ptp(points, axis=0).max())
     graph = context.evaluated_depsgraph_get()
@@ -152,10 +125,7 @@ _BESIDE = {"TOOLS", "UI"}
 def free_box(area: bpy.types.Area, region: bpy.types.Region) -> FreeBox:
     """Return the part of a viewport that toolbar, Sidebar, headers, asset shelf and redo panel do not cover.
 
-    Parameters
-    ----------
-    region : bpy.types.Region
-        Its main region, or one of those of Quad View.
+    The region is the main one, or one of those of Quad View.
     """
     left, bottom, right, top = 0.0, 0.0, float(region.width), float(region.height)
     for other in area.regions:

@@ -15,12 +15,8 @@ Result = TypeVar("Result")
 class Task:
     """A long part of a work, which does not touch Blender.
 
-    Attributes
-    ----------
-    run : callable
-        Does it, in any thread; what it returns is sent to the work.
-    done : float
-        Share of the whole work that is done, 0 to 1; `run` may update it.
+    `run` does it in any thread, and what it returns is sent to the work; `done` is the share of the whole work that is
+    done, 0 to 1, which `run` may update.
     """
 
     run: Callable[[], Any]

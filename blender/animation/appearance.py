@@ -28,18 +28,7 @@ _NEUTRAL = Material((0.8, 0.8, 0.8), 0.5)
 
 
 def read_appearance(head: bpy.types.Object) -> Appearance:
-    """Read the appearance of a head at rest.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-        A mesh with landmarks.
-
-    Raises
-    ------
-    HeadError
-        If one of its meshes is in Edit Mode.
-    """
+    """Read the appearance of a head at rest; raises HeadError if one of its meshes is in Edit Mode."""
     surfaces: dict[bpy.types.Material | None, Material] = {}
     patches: list[Patch] = []
     members = members_of(head)

@@ -33,12 +33,9 @@ Item = list[Any]
 
 
 def set_aside(owner: bpy.types.ID, items: Iterable[Item]) -> None:
-    """Mute or disable items of a data-block, and list those that were not; does nothing to a linked one.
+    """Mute or disable items, as the other functions here return them, of a data-block, and list those that were not.
 
-    Parameters
-    ----------
-    items : iterable of Item
-        As the other functions here return them.
+    Does nothing to a linked data-block.
     """
     if owner.library is not None:
         return
@@ -94,14 +91,9 @@ def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
 
 
 def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> dict[tuple[str, int], float]:
-    """Return what the user's animation that is set aside would give some channels in a frame.
+    """Return the values, by data path and array index, that the user's animation that is set aside would give channels.
 
     Strips count at full influence, and add or replace. Drivers do not count.
-
-    Returns
-    -------
-    dict
-        Values by data path and array index.
     """
     values: dict[tuple[str, int], float] = {}
     starts, own, listed = tuple(prefixes), owned_paths(owner.animation_data), _listed(owner)

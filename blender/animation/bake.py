@@ -34,17 +34,10 @@ _CHANNELS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")
 def placements(
     scene: bpy.types.Scene, targets: Sequence[PoseTarget], frames: NDArray[np.floating[Any]], *, keep: bool
 ) -> list[Placement]:
-    """Return where the user's animation places some targets in some frames.
+    """Return where the user's animation places some targets in frames (N,), which may be fractional.
 
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Its current frame is restored.
-    targets : sequence of PoseTarget
-    frames : (N,) array
-        Frames, which may be fractional.
-    keep : bool
-        Whether the poses of bones are added to their animation, instead of replacing it.
+    `keep` is whether the poses of bones are added to their animation, instead of replacing it. The current frame of the
+    scene is restored.
     """
     turned = [target.obj for target in targets if not target.bone and animated_paths(target.obj, _CHANNELS)]
     added = [target for target in targets if (keep or not target.bone) and _is_added_by_angle(target)]
@@ -83,11 +76,6 @@ def _keep_axis_angles_moving(scene: bpy.types.Scene, obj: bpy.types.Object, fram
 
     Blender has no delta rotation by axis and angle, so that such an object is posed as one with a quaternion. The
     user's curves stay, and move the object again when the bake is removed.
-
-    Parameters
-    ----------
-    frames : (N,) array
-        Frames of the bake.
     """
     if own_mode(obj) != "AXIS_ANGLE":
         return
@@ -120,19 +108,9 @@ _LAST_FRAME = 1_048_574
 
 
 def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, old_keys: bool) -> None:
-    """Check that a head can be baked to; nothing is changed.
+    """Check that a head, the targets of its pose, and its new or existing shape keys can be baked to.
 
-    Parameters
-    ----------
-    targets : mapping
-        Objects or bones that follow the pose.
-    new_keys, old_keys : bool
-        Whether new shape keys are added, or existing ones animated.
-
-    Raises
-    ------
-    HeadError
-        If the head or one of the targets cannot be animated.
+    Nothing is changed. Raises HeadError if the head or one of the targets cannot be animated.
     """
     for owner in {target.obj for target in _all_targets(obj, targets)}:
         if owner.library is not None:
@@ -166,18 +144,7 @@ def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
 
 
 def check_range(take: Take, frames: NDArray[np.floating[Any]]) -> None:
-    """Check that a take fits into Blender's timeline.
-
-    Parameters
-    ----------
-    frames : (N,) array
-        Its frames in the scene, increasing.
-
-    Raises
-    ------
-    SourceError
-        If they exceed Blender's last frame.
-    """
+    """Check that a take fits into Blender's timeline in increasing frames; raises SourceError if it exceeds the end."""
     if max(-frames[0], frames[-1]) > _LAST_FRAME:
         raise SourceError(
             "The take extends from {start:.2f} s to {end:.2f} s, beyond Blender's last frame. "
@@ -200,18 +167,12 @@ def bake_pose(
     nla: bool = False,
     keep: bool = False,
 ) -> list[Silenced]:
-    """Animate the pose of head and eyes, and of the lower teeth and the tongue.
+    """Animate the pose of head and eyes, and of the lower teeth and the tongue, which are children of the head.
 
     Parameters
     ----------
-    scene : bpy.types.Scene
-        The scene of the frames.
-    obj : bpy.types.Object
-        The head, whose children are its eyes, teeth and tongue.
     targets : mapping
         "head", and optionally "eye_left" and "eye_right", which replace the eyes of `obj`.
-    frames : (N,) array
-        Frames of the keyframes.
     rotation, translation : bool
         Whether the rotation and the location of the head are animated.
     clean : (float, float), optional
@@ -304,14 +265,6 @@ def has_tongue(part: bpy.types.Object) -> bool:
 
 
 def show_tongue(part: bpy.types.Object, amount: float) -> None:
-    """Stick out a tongue.
-
-    Parameters
-    ----------
-    part : bpy.types.Object
-        Any part of a head; parts other than a tongue are not changed.
-    amount : float
-        0 to 1.
-    """
+    """Stick out a tongue by 0 to 1; parts of a head other than a tongue are not changed."""
     if has_tongue(part):
         keys_of(part).key_blocks[TONGUE_KEY].value = amount

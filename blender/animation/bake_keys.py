@@ -39,11 +39,7 @@ def following_paths(keys: bpy.types.Key, family: Collection[bpy.types.Key]) -> s
     """Return the data paths of shape keys of a mesh whose drivers make them follow keys of a head.
 
     Lashes, brows and teeth often have the keys of the head, driven by these, and correctives depend on other keys.
-
-    Parameters
-    ----------
-    family : collection of bpy.types.Key
-        Of all meshes of the head.
+    `family` are the keys of all meshes of the head.
     """
     return {driver.data_path for driver in _playing(keys) if _reads(driver, family)}
 
@@ -83,12 +79,7 @@ def _keys_of(block: bpy.types.ID | None) -> bpy.types.Key | None:
 def standing_vertices(obj: bpy.types.Object, without: Collection[str] = ()) -> NDArray[np.float32]:
     """Return the vertices of a mesh with the user's keys whose values do not change, (V, 3) in the head frame.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        A mesh of a head.
-    without : collection of str
-        Names of keys that do not count.
+    The keys that are named in `without` do not count.
     """
     vertices, keys = read_vertices(mesh_of(obj)), mesh_of(obj).shape_keys
     if keys is None or not keys.use_relative:
@@ -132,13 +123,7 @@ class MeshKeys:
 
 
 def moving_key_names(members: Sequence[Member]) -> list[str]:
-    """Return the names of the user's shape keys of a head that move a vertex: characters may have empty ones.
-
-    Parameters
-    ----------
-    members : sequence of Member
-        Meshes of the head.
-    """
+    """Return the names of the user's shape keys of a head that move a vertex: characters may have empty ones."""
     names: dict[str, None] = {}
     for obj in (member.obj for member in members):
         for name in key_names(obj):
@@ -162,17 +147,8 @@ def has_known_set(obj: bpy.types.Object) -> bool:
 def read_keys(members: Sequence[Member]) -> MeshKeys:
     """Read the user's shape keys of a head that are not muted; one that is muted on the head counts as muted on all.
 
-    Keys whose drivers make them follow other keys of the head are left out, as these move them.
-
-    Parameters
-    ----------
-    members : sequence of Member
-        Meshes of the head. Keys of one name on several of them are one.
-
-    Raises
-    ------
-    HeadError
-        If no mesh has shape keys, or one has absolute ones.
+    Keys of one name on several meshes are one. Keys whose drivers make them follow other keys of the head are left out,
+    as these move them. Raises HeadError if no mesh has shape keys, or one has absolute ones.
     """
     blocks: dict[str, list[tuple[Member, bpy.types.ShapeKey]]] = {}
     head = members[0].obj
@@ -228,15 +204,7 @@ def bake_new_keys(
     clean: float = 0.0,
     nla: bool = False,
 ) -> list[Silenced]:
-    """Add shape keys to the meshes of a head and animate them; those of one name move together.
-
-    Parameters
-    ----------
-    basis : MotionBasis
-        Displacements of the keys, and their values.
-    frames, clean, nla
-        As for `bake_values`.
-    """
+    """Add shape keys to the meshes of a head and animate them like `bake_values`; those of one name move together."""
     names = [f"{BAKED_KEY_PREFIX}{i + 1:02d}" for i in range(len(basis.modes))]
     for obj, offsets in ((member.obj, member.local_offsets(basis.modes)) for member in members):
         if mesh_of(obj).shape_keys is None:
@@ -267,12 +235,10 @@ def bake_values(
     ----------
     values : mapping
         Values of each key by its name, (N,).
-    frames : (N,) array
-        Frames of the keyframes.
     offsets : (K, A, 3) array
         Displacements of the keys at value 1.
     clean : float
-        Error of a vertex allowed when removing keyframes, the unit of the head; 0 keeps all keyframes.
+        Error of a vertex allowed when removing keyframes, in the unit of the head; 0 keeps all keyframes.
     nla : bool
         Whether to use an NLA track.
     keep : bool

@@ -72,18 +72,7 @@ def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
 
 
 def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> None:
-    """Play only the clip `name` on some data-blocks.
-
-    Parameters
-    ----------
-    clips : dict of str to Clip
-        From `clips_of`.
-
-    Raises
-    ------
-    HeadError
-        If there is no such clip.
-    """
+    """Play only the clip `name`, of those from `clips_of`, on some data-blocks; raises HeadError if there is none."""
     if name not in clips:
         if not clips:
             raise HeadError("There is no clip {name}, nor any other.", name=name)
@@ -101,11 +90,6 @@ def play_single(clips: dict[str, Clip]) -> None:
 
     Exporters may write the actions of a performance, such as that of the head and that of its shape keys, as a clip
     each, of which the importer of glTF plays the first.
-
-    Parameters
-    ----------
-    clips : dict of str to Clip
-        From `clips_of`.
     """
     count = Counter(owner for clip in clips.values() for owner in clip.actions)
     for clip in clips.values():

@@ -30,13 +30,7 @@ _ADDING = {"ADD", "BEFORE", "AFTER", "BEFORE_FULL", "AFTER_FULL", "BEFORE_SPLIT"
 
 
 def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: bool) -> list[str]:
-    """Return warnings that name what keeps the pose of some targets from being seen.
-
-    Parameters
-    ----------
-    rotation, translation : bool
-        Whether they are rotated and moved.
-    """
+    """Return warnings that name what keeps the pose of targets that are rotated or moved from being seen."""
     targets = list(targets)
     posed = dict.fromkeys(target.obj for target in targets if target.bone)
     resting = [obj for obj in posed if armature_data(obj).pose_position == "REST"]
@@ -80,12 +74,7 @@ def _overrules(constraint: bpy.types.Constraint) -> bool:
 
 
 def playing_under(head: bpy.types.Object) -> list[str]:
-    """Return the names of actions and NLA tracks that move shape keys of a character in addition to a bake.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-    """
+    """Return the names of actions and NLA tracks that move shape keys of a character in addition to a bake."""
     return list(dict.fromkeys(name for keys in _shape_keys(head) for name in others_playing(keys)))
 
 

@@ -43,15 +43,8 @@ _ALEMBIC_BYTES = 24
 def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterator[str]:
     """Yield the path for Blender to write to, without output; an existing file is replaced only by a complete one.
 
-    Parameters
-    ----------
-    is_complete : callable
-        Whether the file at a path has its end: Blender does not notice a disk that becomes full at the very end.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    `is_complete` says whether the file at a path has its end: Blender does not notice a disk that becomes full at the
+    very end. Raises OutputError if the file cannot be written.
     """
     with replacing(path) as temporary:
         temporary.unlink()
@@ -74,10 +67,7 @@ def saved_by_blender(path: Path, is_complete: Callable[[Path], bool]) -> Iterato
 def selected_for_export(objects: Sequence[bpy.types.Object]) -> Iterator[None]:
     """Select some objects and nothing else, whatever hides them; the first is active. All returns to what it was.
 
-    Raises
-    ------
-    OutputError
-        If an object cannot be selected, so that an exporter would leave it out.
+    Raises OutputError if an object cannot be selected, so that an exporter would leave it out.
     """
     layer = bpy.context.view_layer
     selected, active = [obj for obj in layer.objects if obj.select_get()], layer.objects.active
@@ -155,19 +145,9 @@ _HEADER = Struct("<4sII")
 def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
     """Write heads with all parts, bones and shape keys as binary glTF, with the scene's frame range as one clip.
 
-    Parameters
-    ----------
-    heads : sequence of bpy.types.Object
-        Any meshes with landmarks; the other parts of their characters are included.
-    path : Path
-        The file to write; an existing one is replaced only by a complete one.
-
-    Raises
-    ------
-    HeadError
-        If the motion of a head is in a cache, which glTF cannot store, or the exporter is disabled.
-    OutputError
-        If the file cannot be written, or an object would be missing from it.
+    The other parts of their characters are included. An existing file is replaced only by a complete one. Raises
+    HeadError if the motion of a head is in a cache, which glTF cannot store, or the exporter is disabled, and
+    OutputError if the file cannot be written, or an object would be missing from it.
     """
     chosen = list(dict.fromkeys(obj for head in heads for obj in _character(head)))
     for obj in chosen:
@@ -215,21 +195,9 @@ def _is_complete(path: Path) -> bool:
 def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np.floating[Any]], path: Path) -> None:
     """Write every whole frame of a motion to a point cache for each mesh, and add Mesh Cache modifiers that play them.
 
-    A modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys.
-
-    Parameters
-    ----------
-    members : sequence of Member
-        Meshes of the head.
-    frames : (N,) array
-        Frames of the motion in the scene, which may be fractional.
-    path : Path
-        File to write for the head; those of other meshes also have their names.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    A modifier is the first in the stack, so that the user's modifiers act on its result; it overrides shape keys. The
+    frames (N,) may be fractional. `path` is the file for the head; those of other meshes also have their names. Raises
+    OutputError if a file cannot be written.
     """
     for member in members:
         own = path if member is members[0] else with_name_of(path, member.obj)
@@ -237,13 +205,7 @@ def bake_cache(members: Sequence[Member], motion: HeadMotion, frames: NDArray[np
 
 
 def with_name_of(path: Path, obj: bpy.types.Object) -> Path:
-    """Return `path` with the name of `obj` added to the file's, for one of several objects.
-
-    Parameters
-    ----------
-    path : Path
-        Path of a cache.
-    """
+    """Return the path of a cache with the name of `obj` added to the file's, for one of several objects."""
     return path.with_name(f"{path.stem} {bpy.path.clean_name(obj.name)}{path.suffix}")
 
 
@@ -287,15 +249,7 @@ def caches_beside(path: Path) -> Iterator[None]:
 def export_alembic(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], path: Path) -> None:
     """Export a head with its parts as Alembic.
 
-    Parameters
-    ----------
-    path : Path
-        File to write.
-
-    Raises
-    ------
-    OutputError
-        If this Blender does not support Alembic, or the file cannot be written.
+    Raises OutputError if this Blender does not support Alembic, or the file cannot be written.
     """
     if not getattr(bpy.app.build_options, "alembic", False):
         raise OutputError("This Blender was built without Alembic. Bake to a mesh cache instead.")

@@ -122,10 +122,7 @@ class LiveHeadObject:
     def attach(self) -> None:
         """Add the live shape keys, and mute an earlier bake of the head; does nothing if the head was deleted.
 
-        Raises
-        ------
-        HeadError
-            If a mesh was replaced or changed so that it can no longer be driven.
+        Raises HeadError if a mesh was replaced or changed so that it can no longer be driven.
         """
         if self.gone:
             return
@@ -170,16 +167,8 @@ class LiveHeadObject:
     def write(self, frame: HeadFrame, flat: FlatMeshes | None = None) -> None:
         """Display a frame; does nothing in Edit Mode, and skips parts that were deleted.
 
-        Parameters
-        ----------
-        flat : sequence of (3 V,) float32, optional
-            `prepare(frame)`, if it is already computed.
-
-        Raises
-        ------
-        HeadError
-            If the mesh was changed so that it can no longer be driven, or an object or bone that follows the pose was
-            deleted.
+        `flat` is `prepare(frame)`, if it is already computed. Raises HeadError if the mesh was changed so that it can
+        no longer be driven, or an object or bone that follows the pose was deleted.
         """
         if self.obj.mode == "EDIT":
             return
@@ -215,19 +204,11 @@ class LiveHeadObject:
                 self.targets[eye].apply(frame.gaze[side], None)
 
     def detach(self, *, keep: bool, blocks: bool = True) -> bool:
-        """Stop displaying frames.
+        """Stop displaying frames, and return whether a data-block was removed, so that an undo step must be pushed.
 
-        Parameters
-        ----------
-        keep : bool
-            Whether to keep the pose and the live shape key; otherwise everything that still exists is restored.
-        blocks : bool
-            Whether data-blocks may be removed; not allowed between two undo steps (`blender.contexts`).
-
-        Returns
-        -------
-        bool
-            Whether a data-block was removed, so that an undo step must be pushed.
+        The pose and the live shape key are kept if `keep` is set; otherwise everything that still exists is restored.
+        `blocks` is whether data-blocks may be removed, which is not allowed between two undo steps
+        (`blender.contexts`).
         """
         if not self._shown:
             return False

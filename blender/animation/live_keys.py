@@ -29,19 +29,11 @@ AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
 
 
 def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -> LiveKeys | None:
-    """Return the shape keys that drive a head live; None if its skin is driven.
+    """Return the shape keys that drive a head live, mapped by `table` or the preset that fits best; None for its skin.
 
-    Parameters
-    ----------
-    choice : {"AUTOMATIC", "SKIN", "KEYS"}
-        "AUTOMATIC" takes the keys of a character that has a known set of them; the built-in head's skin shows more.
-    table : KeyMap, optional
-        The key mapping; by default the preset that fits best.
-
-    Raises
-    ------
-    HeadError
-        If keys were requested but the head has none, or no mapping matches them.
+    The choice is "AUTOMATIC", "SKIN" or "KEYS". "AUTOMATIC" takes the keys of a character that has a known set of them;
+    the built-in head's skin shows more. Raises HeadError if keys were requested but the head has none, or no mapping
+    matches them.
     """
     if driven_by_keys(obj) and choice == SKIN:
         raise HeadError(
@@ -66,14 +58,8 @@ def names_of(keys: LiveKeys | None) -> tuple[str, ...]:
 class LiveValues:
     """Shape keys of a mesh that display a performance.
 
-    Parameters
-    ----------
-    mesh : bpy.types.Mesh
-        A mesh with shape keys.
-    names : sequence of str
-        The driven keys of the head; those that the mesh does not have are left out.
-    following : set of str
-        Data paths of values with drivers that follow keys of the head, which are left alone.
+    Those of the `names` that the mesh does not have are left out. `following` are data paths of values with drivers
+    that follow keys of the head, which are left alone.
     """
 
     def __init__(self, keys: bpy.types.Key, names: Sequence[str], following: set[str]) -> None:

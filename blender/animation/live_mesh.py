@@ -31,15 +31,7 @@ _HAD_KEYS, _MADE_KEYS = 1, 2
 class LiveMesh:
     """A mesh that displays a performance.
 
-    Parameters
-    ----------
-    member : Member
-        The mesh, and which vertices of the head it has.
-
-    Raises
-    ------
-    HeadError
-        If the object is not a mesh, is linked, or has absolute shape keys.
+    Raises HeadError if the object is not a mesh, is linked, or has absolute shape keys.
     """
 
     def __init__(self, member: Member) -> None:
@@ -65,18 +57,10 @@ class LiveMesh:
         return not exists(self.obj)
 
     def attach(self, values: LiveValues | None = None) -> None:
-        """Add the live shape key, or take over the values of the mesh's own keys; mute the keys and the cache of an
-        earlier bake.
+        """Add the live shape key, or take over the values of the mesh's own keys; mute what an earlier bake plays.
 
-        Parameters
-        ----------
-        values : LiveValues, optional
-            The keys that display the performance instead of the live key.
-
-        Raises
-        ------
-        HeadError
-            If the mesh was replaced or changed so that it can no longer be driven.
+        That is its keys and its cache. Raises HeadError if the mesh was replaced or changed so that it can no longer be
+        driven.
         """
         self.require_same()
         self._values = values
@@ -103,19 +87,9 @@ class LiveMesh:
         self._key().value = 1.0  # Edit Mode restores a key that was removed, with value 0
 
     def write(self, flat: NDArray[np.float32], amounts: NDArray[np.float64]) -> None:
-        """Display a frame; does nothing in Edit Mode.
+        """Display positions (3 V,) from `Member.local`, and values of the shape keys (K,); does nothing in Edit Mode.
 
-        Parameters
-        ----------
-        flat : (3 V,) float32
-            Positions, as `Member.local` returns them.
-        amounts : (K,) float64
-            Values of the shape keys that drive the head.
-
-        Raises
-        ------
-        HeadError
-            If the mesh was changed so that it can no longer be driven.
+        Raises HeadError if the mesh was changed so that it can no longer be driven.
         """
         if self.obj.mode == "EDIT":
             return
@@ -181,19 +155,9 @@ def _clear_live(
 ) -> bool:
     """Remove what a live session displays in a mesh, even one that ended earlier in a crash.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object, optional
-        An object with that mesh, if known.
-    rest : (V, 3) float32, optional
-        Vertices at rest in the head frame, used if the Basis was deleted so that the live key has become it.
-    blocks : bool
-        As for `LiveHeadObject.detach`.
-
-    Returns
-    -------
-    bool
-        Whether the data-block of shape keys that was created for the session was removed.
+    Returns whether the data-block of shape keys that was created for the session was removed, for which `blocks` is as
+    in `LiveHeadObject.detach`. `rest` (V, 3) are vertices at rest in the head frame, used if the Basis was deleted so
+    that the live key has become it.
     """
     keys, made = mesh.shape_keys, mesh.get(LIVE_PROPERTY) == _MADE_KEYS
     lost_rest = rest if _basis_lost(mesh) else None
@@ -213,20 +177,10 @@ def _clear_live(
 
 
 def clear_all_live(*, blocks: bool, but: Collection[bpy.types.ID] = ()) -> bool:
-    """Put everything at rest that a session has left as it displayed it: after a file was loaded, a step undone, or an
-    object duplicated.
+    """Put at rest what sessions have left as they displayed it, and return whether a data-block was removed.
 
-    Parameters
-    ----------
-    blocks : bool
-        As for `LiveHeadObject.detach`.
-    but : collection of bpy.types.ID
-        The objects, meshes and shape keys of the running session.
-
-    Returns
-    -------
-    bool
-        Whether a data-block was removed, as for `_clear_live`.
+    This is for files that were loaded, steps that were undone, and objects that were duplicated. `but` has the objects,
+    meshes and shape keys of the running session; `blocks` is as for `LiveHeadObject.detach`.
     """
     restore_all(but)
     release_live(but)

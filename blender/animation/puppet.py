@@ -59,8 +59,6 @@ class PuppetReport:
         Number of shape keys; 0 for a cache.
     worst_error : float
         Largest error of a vertex in a frame, in outer-eye distances; NaN for a head that only its keys drive.
-    neutral : Neutral
-    motion : HeadMotion
     others : tuple of str
         Other actions and NLA tracks that move shape keys of the character.
     start : float
@@ -114,17 +112,9 @@ def puppet_head(
 ) -> PuppetReport:
     """Drive a head with a take and bake the motion, in sync with the take's time.
 
-    Parameters
-    ----------
-    settings : PuppetSettings, optional
-    targets : mapping, optional
-        Objects or bones that follow the pose: "head" instead of `obj`, "eye_left" and "eye_right" instead of its eyes.
-
-    Raises
-    ------
-    FacemimeError
-        If the mesh cannot be driven, the take contains no face, or the bake is not possible. The scene is not changed
-        in that case.
+    The targets are objects or bones that follow the pose: "head" instead of `obj`, "eye_left" and "eye_right" instead
+    of its eyes. Raises FacemimeError if the mesh cannot be driven, the take contains no face, or the bake is not
+    possible. The scene is not changed in that case.
     """
     mesh_of(obj)
     bake, targets = _chosen(obj, settings.bake), targets or own_targets(obj)
@@ -176,18 +166,8 @@ def puppet_heads(
 ) -> list[PuppetReport]:
     """Drive several heads with one take, each with its own landmarks, regions and pose.
 
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
-        The heads; the file of a cache is named after each.
-    settings : PuppetSettings, optional
-    targets : mapping, optional
-        Of the first head, as for `puppet_head`.
-
-    Raises
-    ------
-    FacemimeError
-        As `puppet_head`; if one head cannot be baked to, none is changed.
+    The file of a cache is named after each; targets are those of the first head. Raises FacemimeError as `puppet_head`
+    does; if one head cannot be baked to, none is changed.
     """
     check_heads(objects, settings.bake, targets)
     return [
@@ -197,18 +177,7 @@ def puppet_heads(
 
 
 def check_heads(objects: Sequence[bpy.types.Object], bake: BakeSettings, targets: Targets | None = None) -> None:
-    """Check that heads can be driven and baked to; nothing is changed.
-
-    Parameters
-    ----------
-    targets : mapping, optional
-        As for `puppet_heads`.
-
-    Raises
-    ------
-    HeadError
-        If one of them cannot be driven or baked to.
-    """
+    """Check that heads can be driven and baked to, with targets as for `puppet_heads`; raises HeadError if not."""
     for number, obj in enumerate(objects):
         mesh_of(obj)
         _checked_rig(obj, own_targets(obj) if number or targets is None else targets, _chosen(obj, bake))
@@ -290,22 +259,9 @@ def _mapped(
 
 
 def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
-    """Match a key mapping with the shape keys of a head.
+    """Match a key mapping, by default the preset that fits best, with the names of the keys as a head has them.
 
-    Parameters
-    ----------
-    table : KeyMap, optional
-        By default the preset that fits best.
-
-    Returns
-    -------
-    KeyMap
-        The table with the names of the keys as `obj` has them.
-
-    Raises
-    ------
-    HeadError
-        If it matches none of them.
+    Raises HeadError if it matches none of them.
     """
     members = members_of(obj)
     names = list(dict.fromkeys(name for member in members for name in key_names(member.obj)))

@@ -42,13 +42,7 @@ _LOOKS = {COEFFICIENTS[column] for column in LOOKS}
 
 
 class _AnimatedKeys:
-    """Reads the values of the keys of a head while its animation is sampled.
-
-    Parameters
-    ----------
-    head : bpy.types.Object
-        The head; keys of the other meshes of its face count as well.
-    """
+    """Reads the values of the keys of a head, and of the other meshes of its face, while its animation is sampled."""
 
     def __init__(self, head: bpy.types.Object) -> None:
         self._objects = [obj for obj in (head, *objects_of(head)) if key_names(obj)]
@@ -124,23 +118,9 @@ _EYES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
 class Sampling:
     """Samples the motion of a head as a take; each step of iterating over it samples a frame.
 
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Its frames are sampled, and the current one is restored when the iteration ends or its iterator is closed.
-    head : bpy.types.Object
-        A mesh with landmarks, whose face is at rest in its mesh, and whose object is in its place in the first frame.
-    source : str
-        Where the animation comes from, for the description of the take.
-
-    Attributes
-    ----------
-    frames : range
-
-    Raises
-    ------
-    HeadError
-        If the head has no landmarks or regions.
+    The current frame of the scene is restored when the iteration ends or its iterator is closed. The face is at rest in
+    the mesh of the head, whose object is in its place in the first frame. `source` says where the animation comes from,
+    for the description of the take. Raises HeadError if the head has no landmarks or regions.
     """
 
     def __init__(self, scene: bpy.types.Scene, head: bpy.types.Object, source: str) -> None:
@@ -154,10 +134,7 @@ class Sampling:
     def __iter__(self) -> Generator[int, None, None]:
         """Sample a frame at each step, and yield how many are done.
 
-        Raises
-        ------
-        HeadError
-            If the head was removed, or its modifiers change the number of vertices.
+        Raises HeadError if the head was removed, or its modifiers change the number of vertices.
         """
         scene = self._scene
         current = scene.frame_current, scene.frame_subframe
@@ -172,13 +149,7 @@ class Sampling:
             scene.frame_set(current[0], subframe=current[1])
 
     def take(self) -> Take:
-        """Return the take of the frames so far, which starts at 0 s.
-
-        Raises
-        ------
-        HeadError
-            If the head does not move in them.
-        """
+        """Return the take of the frames so far, which starts at 0 s; raises HeadError if the head does not move."""
         if self._tracker is None or not (self._moves or self._keys.moved):
             first, last = self.frames[0], self.frames[-1]
             raise HeadError(
@@ -234,13 +205,7 @@ class _Face:
         return self._points(lambda o: (standing_vertices(o, keys(key_names(o))), np.array(rest_matrix(o))))
 
     def current(self) -> FacePoints:
-        """Return the positions in the current frame.
-
-        Raises
-        ------
-        HeadError
-            If a mesh then has another number of vertices.
-        """
+        """Return the positions in the current frame; raises HeadError if a mesh then has another number of vertices."""
         depsgraph = bpy.context.evaluated_depsgraph_get()
         return self._points(lambda obj: _evaluated(obj, depsgraph))
 

@@ -24,26 +24,15 @@ _DEFAULT_RANGE = (1, 250)
 
 
 def start_frame(scene: bpy.types.Scene, choice: str) -> float:
-    """Return the frame of keyframes at 0 s of a take.
-
-    Parameters
-    ----------
-    choice : {"first", "current", "scene"}
-        As in `BakeSettings`.
-    """
+    """Return the frame of keyframes at 0 s of a take, for a choice as in `BakeSettings.start`."""
     shown = {CURRENT_FRAME: scene.frame_current, SCENE_START: scene.frame_start}
     return keyed_frame(scene, shown.get(choice, 1))
 
 
 def fit_range(scene: bpy.types.Scene, frames: NDArray[np.floating[Any]], choice: str, *, asked: bool = False) -> None:
-    """Set the frame range of a scene to that of a take, if it is free or this was asked for.
+    """Set the frame range of a scene to that of a take's keyframes, if it is free or this was asked for.
 
-    Parameters
-    ----------
-    frames : (N,) array
-        Frames of the take's keyframes, increasing.
-    choice : {"first", "current", "scene"}
-        Where the take starts; a take that starts with the scene leaves the first frame of the range.
+    A take that starts with the scene (see `BakeSettings.start`) leaves the first frame of the range.
     """
     if not asked and not _is_free(scene):
         return

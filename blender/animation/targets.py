@@ -70,13 +70,10 @@ _STILL = Placement()
 
 @dataclass(frozen=True)
 class PoseTarget:
-    """An object, or a bone of an armature.
+    """An object, or a bone of an armature, unless its name is "".
 
     Attributes
     ----------
-    obj : bpy.types.Object
-    bone : str
-        Name of the bone; "" for the object itself.
     head : bpy.types.Object, optional
         The head in whose axes the pose is given; the object itself by default.
     pivot : (float, float, float), optional
@@ -94,19 +91,9 @@ class PoseTarget:
 
     @classmethod
     def of(cls, obj: bpy.types.Object, bone: str = "", head: bpy.types.Object | None = None) -> PoseTarget:
-        """Return the target for an object.
+        """Return the target for an object, or for a bone, which an armature requires; others ignore it.
 
-        Parameters
-        ----------
-        bone : str
-            Required for an armature, ignored for other objects.
-        head : bpy.types.Object, optional
-            See the attribute.
-
-        Raises
-        ------
-        HeadError
-            If an armature does not have that bone.
+        Raises HeadError if an armature does not have that bone.
         """
         if obj.type == "ARMATURE" and not bone:
             raise HeadError(
@@ -133,11 +120,7 @@ class PoseTarget:
     def turned(self, rotation: FloatArray, placed: FloatArray | None = None) -> FloatArray:
         """Convert (..., 3, 3) rotations from the head frame to the target's channels, without the user's own pose.
 
-        Parameters
-        ----------
-        rotation : (..., 3, 3) array
-        placed : (..., 3, 3) array, optional
-            Rotations of an animated object by its user; by default its current one.
+        `placed` are the rotations of an animated object by its user; by default its current one.
         """
         axes = self._axes(placed)
         if self.strength != 1.0:
@@ -157,15 +140,7 @@ class PoseTarget:
         begin_live(self.owner)
 
     def apply(self, rotation: FloatArray | None, translation: FloatArray | None) -> None:
-        """Set the pose.
-
-        Parameters
-        ----------
-        rotation : (3, 3) array or None
-            Head frame; None leaves the rotation unchanged.
-        translation : (3,) array or None
-            Head frame, the unit of the head; None leaves the location unchanged.
-        """
+        """Set a rotation (3, 3) and a translation (3,) in the head frame and its unit; None leaves it unchanged."""
         owner = self.owner
         hold_own(owner)
         if (
@@ -196,18 +171,10 @@ class PoseTarget:
         length: float | None = None,
         placed: Placement = _STILL,
     ) -> list[Curve]:
-        """Return the curves of a motion, and remember the user's own pose.
+        """Return the curves of N rotations and translations, as for `apply`, and remember the user's own pose.
 
-        Parameters
-        ----------
-        rotations : (N, 3, 3) array or None
-            Head frame.
-        translations : (N, 3) array or None
-            Head frame, the unit of the head.
-        angle, length : float, optional
-            As the tolerance of `Curve`: radians, and the unit of the head.
-        placed : Placement, optional
-            In the same frames.
+        The tolerances of `Curve` are an angle in radians, and a length in the unit of the head. `placed` is for the
+        same frames.
         """
         if rotations is None and translations is None:
             return []
@@ -323,14 +290,7 @@ def _axis_angles(quaternions: FloatArray) -> FloatArray:
 def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
     """Return the default targets of a head's pose: the bones that were found when it was bound, or the head.
 
-    Parameters
-    ----------
-    head : bpy.types.Object
-
-    Returns
-    -------
-    dict
-        "head", and "eye_left" and "eye_right" if bones rotate the eyes.
+    These are "head", and "eye_left" and "eye_right" if bones rotate the eyes.
     """
     armature, bones = read_bones(head)
     if armature is None or not bones.head:

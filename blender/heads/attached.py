@@ -48,13 +48,7 @@ class Unfinished:
 
 
 def attach(head: bpy.types.Object, parts: Mapping[str, bpy.types.Object]) -> None:
-    """Attach parts to their head.
-
-    Parameters
-    ----------
-    parts : mapping of str to bpy.types.Object
-        Children of it, by a key of `names.PART_OBJECTS`.
-    """
+    """Attach parts, children of a head by a key of `names.PART_OBJECTS`, to it."""
     head[PARTS_PROPERTY] = dict(parts)
     for part in parts.values():
         _follow(part, head)
@@ -94,10 +88,7 @@ def unfinished() -> Unfinished:
 def finish(left: Unfinished, known: set[int]) -> None:
     """Delete orphans, copy the parts of duplicated heads, and add the parts of linked heads to their collections.
 
-    Parameters
-    ----------
-    known : set of int
-        `session_uid` of the heads that were there before; absent parts of these were deleted by the user.
+    `known` has the `session_uid` of heads that were there before; absent parts of these were deleted by the user.
     """
     gone = list(left.orphans)
     for head, key, part in left.absent:
@@ -114,10 +105,7 @@ def finish(left: Unfinished, known: set[int]) -> None:
 def hide_with_heads(layer: bpy.types.ViewLayer, hidden: Mapping[int, bool]) -> dict[int, bool]:
     """Hide parts with their heads in a view layer, and show them with those that are no longer hidden.
 
-    Returns
-    -------
-    dict of int to bool
-        Whether each head is hidden, by its `session_uid`.
+    Returns whether each head is hidden, by its `session_uid`.
     """
     heads = heads_with_parts()
     now = hidden_heads(layer)

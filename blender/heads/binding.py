@@ -75,21 +75,8 @@ def bind_head(obj: bpy.types.Object | None) -> Binding:
 def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Object, Binding]]:
     """Find the face of the character to which `obj` belongs, and bind its landmarks as `search_head` does.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object or None
-        Any object of the character. A mesh with marked points, or the head that is bound already, is taken; otherwise
-        the most likely mesh.
-
-    Returns
-    -------
-    obj : bpy.types.Object
-        The mesh with the skin of the face.
-
-    Raises
-    ------
-    HeadError
-        As `search_head`, of the most likely mesh.
+    A mesh with marked points, or the head that is bound already, is taken; otherwise the most likely mesh. Returns the
+    mesh with the skin of the face, and the binding. Raises HeadError as `search_head` does, for the most likely mesh.
     """
     given = obj = require_character(obj)
     if len(bound := heads_of([obj])) == 1:
@@ -118,12 +105,8 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     Without marks the face is searched along the axes of the scene, first upright towards -Y, as importers rotate the
     object rather than its vertices. Then it is searched along the object's own axes, as the object may be rotated by
     any angle. If the vertices are not upright, they are rotated, and the object is rotated back, so that nothing moves
-    in the scene. Parts that were sorted before are not changed.
-
-    Raises
-    ------
-    HeadError
-        If no face is found, or the mesh would have to be rotated and `turn_mesh` cannot do this.
+    in the scene. Parts that were sorted before are not changed. Raises HeadError if no face is found, or the mesh would
+    have to be rotated and `turn_mesh` cannot do this.
     """
     mesh, obj = mesh_of(obj), object_of(obj)
     require_sound(obj)
@@ -209,13 +192,7 @@ def propose_head_regions(obj: bpy.types.Object) -> None:
 
 
 def proposed_weights(obj: bpy.types.Object, landmarks: IntArray) -> FloatArray:
-    """Return the weights, (3, V), of regions that follow from (66,) landmarks of `obj`.
-
-    Parameters
-    ----------
-    landmarks : array
-        Vertex of each landmark, (66,).
-    """
+    """Return the weights, (3, V), of regions that follow from (66,) landmarks of `obj`."""
     skin = current_skin(obj)
     weights = np.zeros((len(REGION_GROUPS), len(skin.number)))
     own = skin.number >= 0
@@ -257,13 +234,7 @@ def read_marks(mesh: bpy.types.Mesh) -> dict[int, int]:
 
 
 def write_marks(mesh: bpy.types.Mesh, marks: dict[int, int]) -> None:
-    """Store the marked points: iBUG number to vertex index; none clears them.
-
-    Parameters
-    ----------
-    marks : mapping of int to int
-        Vertex of each marked point, by iBUG number.
-    """
+    """Store the marked points: iBUG number to vertex index; none clears them."""
     if marks:
         mesh[MARKS_PROPERTY] = [value for pair in marks.items() for value in pair]
     elif MARKS_PROPERTY in mesh:
@@ -283,18 +254,7 @@ def selected_vertex(obj: bpy.types.Object) -> int:
 
 
 def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
-    """Bind a landmark to another vertex.
-
-    Parameters
-    ----------
-    landmark : int
-        Index in the 66 landmarks.
-
-    Raises
-    ------
-    VertexTakenError
-        If another landmark is bound to that vertex.
-    """
+    """Bind a landmark, an index in the 66, to another vertex; raises VertexTakenError if that has another landmark."""
     landmarks = read_landmarks(obj)
     taken = np.flatnonzero(landmarks == vertex)
     if len(taken) and taken[0] != landmark:
@@ -306,13 +266,10 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 def _bound(
     vertices: NDArray[np.floating[Any]], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating[Any]]]
 ) -> Work[tuple[Binding, NDArray[np.floating[Any]]]]:
-    """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found: the first along
-    which a face is clearly visible, or otherwise the one along which the template was deformed least.
+    """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found.
 
-    Raises
-    ------
-    HeadError
-        If no face is found along any of them.
+    It is the first along which a face is clearly visible, or otherwise the one along which the template was deformed
+    least. Raises HeadError if no face is found along any of them.
     """
     found: list[tuple[Binding, NDArray[np.floating[Any]]]] = []
     failure: HeadError | None = None
@@ -354,18 +311,10 @@ def turn_note(head: bpy.types.Object, before: Mapping[bpy.types.Object, Matrix])
 
 
 def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> None:
-    """Rotate the vertices of `obj`, and the object back, so that nothing moves in the scene.
+    """Rotate the vertices of `obj`, in Blender's axes, and the object back, so that nothing moves in the scene.
 
-    Parameters
-    ----------
-    rotation : (3, 3) array
-        In Blender's axes of the mesh.
-
-    Raises
-    ------
-    HeadError
-        If the vertices come from a file, other objects share the mesh, or the rotation of the object is animated or
-        constrained.
+    Raises HeadError if the vertices come from a file, other objects share the mesh, or the rotation of the object is
+    animated or constrained.
     """
     if any(modifier.type in CACHES for modifier in obj.modifiers):
         raise HeadError(

@@ -47,14 +47,9 @@ def surface_of(work: bmesh.types.BMesh) -> tuple[FloatArray, IntArray]:
 
 
 def close_seams(obj: bpy.types.Object, skin: Skin) -> None:
-    """Weld vertices of the skin that are duplicated at texture seams; seams are stored on the corners of faces anyway.
+    """Weld vertices of the skin that are duplicated at texture seams.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        A mesh with landmarks.
-    skin : Skin
-        Its skin, with seams closed.
+    Nothing is lost, as seams are stored on the corners of faces.
     """
     leader = np.where(skin.number >= 0, skin.kept[skin.number], np.arange(len(skin.number)))
     doubled = np.flatnonzero(leader != np.arange(len(leader)))
@@ -73,19 +68,9 @@ def close_seams(obj: bpy.types.Object, skin: Skin) -> None:
 def split_along(
     work: bmesh.types.BMesh, line: list[bmesh.types.BMVert], *, closed: bool = False
 ) -> list[list[bmesh.types.BMVert]]:
-    """Split the edges along a line of vertices.
+    """Split the edges along a line of vertices, and return all copies of each vertex.
 
-    Parameters
-    ----------
-    line : list of bmesh.types.BMVert
-        Consecutive vertices are joined by edges.
-    closed : bool
-        Whether the last vertex is joined to the first.
-
-    Returns
-    -------
-    list of list of bmesh.types.BMVert
-        All copies of each vertex of the line.
+    In a closed line the last vertex is joined to the first.
     """
     tag = work.verts.layers.int.get(_TAG)
     assert tag is not None
@@ -123,21 +108,7 @@ def indices(vertices: Iterable[bmesh.types.BMVert]) -> IntArray:
 
 
 def separate(landmarks: IntArray, vertices: FloatArray, fixed: IntArray) -> IntArray:
-    """Move landmarks that share a vertex to the nearest free one.
-
-    Parameters
-    ----------
-    landmarks : (66,) array
-        Vertex indices.
-    vertices : (V, 3) array
-    fixed : (N,) array
-        Landmarks that keep their vertices.
-
-    Returns
-    -------
-    (66,) array
-        Vertex indices without repetition.
-    """
+    """Move landmarks (66,) that share a vertex to the nearest free one, except for the `fixed` landmarks."""
     moved = landmarks.copy()
     first = fixed.tolist()
     taken: set[int] = set()

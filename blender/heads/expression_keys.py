@@ -85,21 +85,8 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
     """Add a set of shape keys to all meshes of a head that they move.
 
     Existing keys of these names are kept, unless they move no vertex of the head: some exporters add names without
-    motion.
-
-    Parameters
-    ----------
-    obj : bpy.types.Object or None
-        A mesh with landmarks.
-    keys : KeySet
-        By default ARKit's 52 face units.
-    takes : sequence of Take
-        Takes that refine the keys, if these are ARKit's; those without a face are left out.
-
-    Raises
-    ------
-    HeadError
-        If the object is not a head, a mesh is linked from another file, or its shape keys are absolute.
+    motion. Keys of ARKit are refined by the takes that have a face. Raises HeadError if the object is not a head, a
+    mesh is linked from another file, or its shape keys are absolute.
     """
     obj = object_of(obj)
     mesh_of(obj)

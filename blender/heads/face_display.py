@@ -14,20 +14,13 @@ from .family import armature_of
 
 
 class FaceDisplay:
-    """What is changed in the viewports of all windows until `close`.
+    """What is changed in the viewports of all windows until `close`; if `bones` is set, these and their shapes are
+    hidden.
 
     Importers draw bones as spheres, and large rigs put handles in front of the face. Solid viewports that colour
-    objects by their materials show the textures, which such a viewport otherwise leaves out.
-
-    Parameters
-    ----------
-    bones : bool
-        Whether bones are hidden, with the objects that are their shapes.
-
-    Notes
-    -----
-    Viewports are found again by their addresses: Python's reference to one becomes invalid when the user closes it.
-    What was changed is reverted while a file is saved.
+    objects by their materials show the textures, which such a viewport otherwise leaves out. Viewports are found again
+    by their addresses: Python's reference to one becomes invalid when the user closes it. What was changed is reverted
+    while a file is saved.
     """
 
     open: ClassVar[list[FaceDisplay]] = []

@@ -50,10 +50,7 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
 def face_candidates(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the meshes of the character of `obj` that may have the skin of its face, the most likely first.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        Any object of the character: a mesh, its armature, an empty above.
+    `obj` is a mesh, an armature or an empty above.
     """
     family = family_of(obj)
     scores = {other: _face_score(other) + 0.5 * (other == obj) for other in family}
@@ -100,15 +97,7 @@ def _preset(names: tuple[str, ...]) -> KeyMap | None:
 def heads_of(
     objects: Iterable[bpy.types.Object], among: Iterable[bpy.types.Object] | None = None
 ) -> list[bpy.types.Object]:
-    """Return the heads to which some objects lead, in their order.
-
-    Parameters
-    ----------
-    objects : iterable of bpy.types.Object
-        Any objects of characters.
-    among : iterable of bpy.types.Object, optional
-        The objects whose heads count; by default those of the scene.
-    """
+    """Return the heads, by default of those in the scene, to which objects of characters lead, in their order."""
     heads = [obj for obj in (bpy.context.scene.objects if among is None else among) if can_be_driven(obj)]
     return list(dict.fromkeys(head for obj in objects for head in _heads_at(obj, heads)))
 
@@ -135,12 +124,9 @@ def _heads_at(obj: bpy.types.Object, heads: Sequence[bpy.types.Object]) -> list[
 def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
     """Return the object that leads to the character whose face is to be found, or None.
 
-    Returns
-    -------
-    bpy.types.Object or None
-        The active object if it is a selected mesh; otherwise the object among the selected and active ones that most
-        likely belongs to a character; with nothing selected, one of the only character in sight, or in the scene if
-        none is in sight.
+    It is the active object if that is a selected mesh; otherwise the object among the selected and active ones that
+    most likely belongs to a character; with nothing selected, one of the only character in sight, or in the scene if
+    none is in sight.
     """
     active, selected = context.active_object, context.selected_objects
     chosen = list(dict.fromkeys([*([active] if active in selected else []), *selected, *([active] if active else [])]))
@@ -154,13 +140,7 @@ def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def likely_character(objects: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
-    """Return the largest mesh of the characters among `objects`; None without any mesh that may have a face.
-
-    Parameters
-    ----------
-    objects : iterable of bpy.types.Object
-        All objects of a file.
-    """
+    """Return the largest mesh of the characters in a file; None without any mesh that may have a face."""
     meshes = [mesh for group in _characters(objects) for mesh in group]
     carried = [mesh for mesh in meshes if armature_of(mesh) is not None or mesh.parent is not None]
     return max(carried or meshes, key=_size, default=None)

@@ -37,20 +37,8 @@ def known_set(obj: bpy.types.Object) -> KeyMap | None:
 def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     """Bind the character of `obj` by its shape keys, so that it can be driven without landmarks.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object or None
-        Any object of the character.
-
-    Returns
-    -------
-    bpy.types.Object
-        The mesh with most keys, to which the others belong.
-
-    Raises
-    ------
-    HeadError
-        If no mesh of the character has a known set of keys, or too few of them move anything.
+    Returns the mesh with most keys, to which the others belong. Raises HeadError if no mesh of the character has a
+    known set of keys, or too few of them move anything.
     """
     obj = require_character(obj)
     if len(bound := heads_of([obj])) == 1:
@@ -119,22 +107,8 @@ def _look(obj: bpy.types.Object, bone: str) -> bool:
 def add_expressions(gltf: Mapping[str, Any], objects: Iterable[bpy.types.Object]) -> int:
     """Add a shape key for each expression of a VRM avatar, unless its meshes have a complete known set already.
 
-    Parameters
-    ----------
-    gltf : mapping
-        JSON of the file.
-    objects : iterable of bpy.types.Object
-        What Blender has imported from it.
-
-    Returns
-    -------
-    int
-        Number of expressions that were added.
-
-    Raises
-    ------
-    ValueError
-        If the file is damaged.
+    From the JSON of the file and what Blender has imported from it; returns the number of expressions that were added.
+    Raises ValueError if the file is damaged.
     """
     meshes = {mesh_of(obj): obj for obj in objects if obj.type == "MESH" and mesh_of(obj).shape_keys is not None}
     sets = [found for obj in meshes.values() if (found := known_set(obj)) is not None]

@@ -43,13 +43,7 @@ def head_materials(*, woman: bool = False) -> dict[str, bpy.types.Material]:
 
 
 def plain_material(name: str, colour: tuple[float, float, float], roughness: float) -> bpy.types.Material:
-    """Create a Principled material of one colour, also for viewports that do not use nodes.
-
-    Parameters
-    ----------
-    colour : (float, float, float)
-        RGB, linear.
-    """
+    """Create a Principled material of one linear RGB colour, also for viewports that do not use nodes."""
     material = bpy.data.materials.new(name)
     if material.node_tree is None:
         material.use_nodes = True

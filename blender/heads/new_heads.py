@@ -30,22 +30,9 @@ def add_head(
 ) -> bpy.types.Object:
     """Add a built-in head at the origin, in a new collection, select it and make it active.
 
-    It faces -Y and stands upright along +Z, in metres; its origin is between the ears.
-
-    Parameters
-    ----------
-    context : bpy.types.Context
-    woman : bool
-        Whether to add the woman's head instead of the man's.
-    units : bool
-        Whether to add the 52 face units as shape keys.
-    name : str
-        Name of the object and its collection.
-
-    Returns
-    -------
-    bpy.types.Object
-        The skin; eyeballs, teeth, tongue, lashes and hair are its children.
+    It faces -Y and stands upright along +Z, in metres; its origin is between the ears. It is the man's or the woman's,
+    with the 52 face units as shape keys if `units` is set. Returns the skin; eyeballs, teeth, tongue, lashes and hair
+    are its children.
     """
     head = load_head(WOMAN_FILE if woman else None)
     materials = head_materials(woman=woman)
@@ -140,19 +127,10 @@ _READERS = {".tri": read_tri, ".obj": read_obj}
 
 
 def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIMETRE) -> bpy.types.Object:
-    """Import a head as the active object.
+    """Import a head from a `.tri` or `.obj` file as the active object, in which `scale` is the metres per unit.
 
-    Parameters
-    ----------
-    path : Path
-        A `.tri` or `.obj` file; the modes of an `.egm` file next to it are imported as well.
-    scale : float
-        Metres per unit of the file.
-
-    Raises
-    ------
-    SourceError
-        If a file is damaged or not a FaceGen head.
+    The modes of an `.egm` file next to it are imported as well. Raises SourceError if a file is damaged or not a
+    FaceGen head.
     """
     if path.suffix.lower() not in _READERS:
         raise SourceError("{path} is not a FaceGen head. Choose a .tri or .obj file.", path=path)

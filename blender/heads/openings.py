@@ -42,17 +42,9 @@ _COLOUR = (0.035, 0.012, 0.01)
 def open_lips(obj: bpy.types.Object | None) -> int:
     """Cut the mesh of `obj` between the lips, bind the inner lips to the two rims, and propose its regions again.
 
-    A dark pocket is added behind the cut, so that the open mouth cannot be seen through.
-
-    Returns
-    -------
-    int
-        Number of edges that were cut.
-
-    Raises
-    ------
-    HeadError
-        If the mesh has no landmarks, its lips are already open, or no line of edges leads between them.
+    A dark pocket is added behind the cut, so that the open mouth cannot be seen through. Returns the number of edges
+    that were cut. Raises HeadError if the mesh has no landmarks, its lips are already open, or no line of edges leads
+    between them.
     """
     mesh, obj = mesh_of(obj), object_of(obj)
     landmarks, skin = read_landmarks(obj), current_skin(obj)
@@ -134,17 +126,8 @@ def open_eyes(obj: bpy.types.Object | None) -> int:
 
     The inside becomes an eye on a sphere just behind the lids, in the vertex group `EYES_GROUP` and in no region. It
     extends behind the lids, and walls join it to their rim, so that there is no gap. The landmarks of the lids are
-    bound to the rim. Coarse meshes are subdivided around the eyes.
-
-    Returns
-    -------
-    int
-        Number of eyes that were cut.
-
-    Raises
-    ------
-    HeadError
-        If the mesh has no landmarks, its eyes are already open, or it has holes there.
+    bound to the rim. Coarse meshes are subdivided around the eyes. Returns the number of eyes that were cut. Raises
+    HeadError if the mesh has no landmarks, its eyes are already open, or it has holes there.
     """
     mesh, obj = mesh_of(obj), object_of(obj)
     landmarks = read_landmarks(obj)

@@ -16,17 +16,9 @@ _FULL = 0.99
 
 
 def paint_region(context: bpy.types.Context, obj: bpy.types.Object, region: int) -> None:
-    """Switch to Weight Paint Mode on the vertex group of a region, with a brush.
+    """Switch to Weight Paint Mode on the vertex group of a region, an index in `REGION_GROUPS`, with a brush.
 
-    Parameters
-    ----------
-    region : int
-        Index in `REGION_GROUPS`.
-
-    Raises
-    ------
-    HeadError
-        If the head is hidden, or its mesh is linked from another file.
+    Raises HeadError if the head is hidden, or its mesh is linked from another file.
     """
     require_own(mesh_of(obj))
     if not obj.visible_get():
@@ -59,26 +51,14 @@ def _ensure_brush(context: bpy.types.Context) -> None:
 
 
 def mirror_painted(obj: bpy.types.Object, source: Side) -> None:
-    """Mirror the regions of the half `source` to the other half; raises HeadError if regions are missing.
-
-    Parameters
-    ----------
-    source : {"left", "right"}
-        The half that is kept; left and right are the head's own.
-    """
+    """Mirror the regions of the head's own left or right half to the other; raises HeadError if regions are missing."""
     mesh = mesh_of(obj)
     vertices, faces, landmarks = read_vertices(mesh), read_faces(mesh), read_landmarks(obj)
     write_regions(obj, mirror_regions(vertices, faces, landmarks, read_regions(obj), source))
 
 
 def smooth_painted(obj: bpy.types.Object, repeat: int) -> None:
-    """Smooth the borders of the regions `repeat` times, except at landmarks; raises HeadError if regions are missing.
-
-    Parameters
-    ----------
-    repeat : int
-        Number of iterations.
-    """
+    """Smooth the borders of the regions `repeat` times, except at landmarks; raises HeadError if any are missing."""
     mesh = mesh_of(obj)
     vertices, landmarks, painted = read_vertices(mesh), read_landmarks(obj), read_regions(obj)
     smooth = smooth_regions(vertices, read_faces(mesh), painted, repeat)

@@ -61,15 +61,7 @@ def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
 
 
 def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: IntArray | None = None) -> Skin:
-    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.rig.skin_of`.
-
-    Parameters
-    ----------
-    others : array
-        Whether each vertex belongs to another part than the skin, (V,).
-    landmarks : array or None
-        Vertex of each landmark, (66,), if known.
-    """
+    """Return the skin of `obj` without the vertices `others` (V,); see `core.heads.rig.skin_of`."""
     return skin_of(read_vertices(mesh_of(obj)), read_faces(mesh_of(obj)), others, landmarks)
 
 
@@ -85,16 +77,7 @@ def current_skin(obj: bpy.types.Object) -> Skin:
 def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray[np.floating[Any]], skin: Skin) -> None:
     """Sort the meshes of the character of `head` into parts, find its bones, and store both.
 
-    Parameters
-    ----------
-    head : bpy.types.Object
-        The mesh with the skin of the face.
-    landmarks : (66,) array of int
-        Vertices of its landmarks.
-    weights : (3, U) array
-        Weights of the regions of the skin.
-    skin : Skin
-        The skin, as far as it is known.
+    The weights (3, U) are of the skin, as far as it is known.
     """
     vertices = read_vertices(mesh_of(head))
     points = vertices[landmarks].astype(np.float64)
@@ -248,15 +231,7 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
 
 
 def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:
-    """Return the bones of the armature for head, eyes and jaw, except those that something else moves.
-
-    Parameters
-    ----------
-    armature : bpy.types.Object or None
-        Its armature, or None.
-    landmarks : array
-        Vertex of each landmark, (66,).
-    """
+    """Return the bones of the armature for head, eyes and jaw, except those that something else moves."""
     if armature is None:
         return FaceBones()
     free = [bone.name for bone in posed_bones(armature) if not bone.constraints]

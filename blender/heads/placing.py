@@ -71,17 +71,8 @@ def landmark_places(
 ) -> Places:
     """Project the landmarks of a head, as it is displayed with its modifiers and transform.
 
-    Parameters
-    ----------
-    view : (4, 4) array
-        World to clip space: `perspective_matrix` of the region.
-    size : tuple of int
-        Width and height of the region, pixels.
-
-    Raises
-    ------
-    HeadError
-        If the head has no landmarks, or a modifier removes vertices.
+    `view` (4, 4) is from world to clip space, the `perspective_matrix` of the region, whose width and height are in
+    pixels. Raises HeadError if the head has no landmarks, or a modifier removes vertices.
     """
     landmarks = read_landmarks(obj)
     evaluated = obj.evaluated_get(depsgraph)
@@ -98,15 +89,7 @@ def landmark_places(
 def project(
     places: NDArray[np.float64], normals: NDArray[np.float64], view: NDArray[np.float64], size: tuple[int, int]
 ) -> Places:
-    """Project points into a viewport.
-
-    Parameters
-    ----------
-    places, normals : (N, 3) array
-        Positions and normals in world space.
-    view, size
-        As for `landmark_places`.
-    """
+    """Project points and normals (N, 3) in world space into a viewport, as `landmark_places` does."""
     clip = np.hstack([places, np.ones((len(places), 1))]) @ view.T
     before = clip[:, 3] > 1e-9
     flat = clip[:, :2] / np.where(before, clip[:, 3], 1.0)[:, None]
@@ -116,19 +99,9 @@ def project(
 
 
 def nearest_landmark(places: Places, pixel: tuple[float, float], reach: float = NEAR) -> int:
-    """Return the landmark nearest to a pixel among those that face the viewer.
+    """Return the landmark nearest to a pixel among those that face the viewer; -1 if none is within `reach` pixels.
 
-    Parameters
-    ----------
-    pixel : (float, float)
-        From the lower left corner of the region.
-    reach : float
-        Maximum distance, pixels.
-
-    Returns
-    -------
-    int
-        Index of the landmark; -1 if none is within `reach`.
+    The pixel is from the lower left corner of the region.
     """
     away = np.linalg.norm(places.pixels - np.array(pixel), axis=1)
     away[~places.facing] = np.inf
@@ -150,11 +123,8 @@ class Placing:
     ----------
     current : Placing or None
         The one in progress.
-    name : str
-        Name of the object.
     held : int
         Landmark that follows the mouse; -1 if none does.
-    discarded : bool
     """
 
     current: Placing | None = None
@@ -247,17 +217,9 @@ def place_of_mark(obj: bpy.types.Object, number: int) -> int | None:
 def skin_under(
     obj: bpy.types.Object, depsgraph: bpy.types.Depsgraph, seen: Viewport, pixel: tuple[float, float]
 ) -> int | None:
-    """Find the vertex of a head's skin at a pixel, through whatever other object is in front.
+    """Find the vertex of a head's skin at a pixel, through whatever other object is in front; None beside the head.
 
-    Parameters
-    ----------
-    pixel : (float, float)
-        From the lower left corner of the region.
-
-    Returns
-    -------
-    int or None
-        None if the object is not there. Takes about 1 ms for 100,000 vertices.
+    The pixel is from the lower left corner of the region. Takes about 1 ms for 100,000 vertices.
     """
     evaluated = obj.evaluated_get(depsgraph)
     to_object = evaluated.matrix_world.inverted_safe()
