@@ -80,12 +80,8 @@ def add_commands(commands: Commands) -> None:
 def _run_clip(job: PuppetJob, number: int | None) -> int:
     """Run `facemime clip`: a clip to a head, a take, a sheet and a record; concurrent runs process it once.
 
-    Parameters
-    ----------
-    job : PuppetJob
-        Its source is a clip, a folder or a list, its output the output folder.
-    number : int, optional
-        Number of the clip in a folder or a list, from 1.
+    The source of the job is a clip, a folder or a list, in which the clip has a number from 1; its output is the output
+    folder.
     """
     folder = job.output
     clip = Namer(job).clip(_chosen(find_clips([job.source]), number))
@@ -107,21 +103,9 @@ def _run_clip(job: PuppetJob, number: int | None) -> int:
 def _run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | None) -> int:
     """Run `facemime batch`: process all clips that are not done, and write a report of all.
 
-    Parameters
-    ----------
-    job : PuppetJob
-        The job for each clip; its output is the output folder.
-    sources : sequence of Path
-        Clips, folders and lists.
-    jobs : int
-        Number of clips to process at a time on this machine.
-    dask : str, optional
-        Address of a scheduler whose workers process the clips instead.
-
-    Returns
-    -------
-    int
-        The exit status: the number of failures, at most 99.
+    The output of the job, which is that of each clip, is the output folder. `jobs` clips are processed at a time on
+    this machine, or all by the workers of a scheduler at the address `dask`. Returns the exit status: the number of
+    failures, at most 99.
     """
     folder = job.output
     clips = find_clips(sources)

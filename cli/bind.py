@@ -90,13 +90,7 @@ def _run_bind(given: Options) -> int:
 
 
 def parse_mark(text: str) -> tuple[int, int | tuple[float, float, float]]:
-    """Parse a point of the face, `8=1234` or `8=0.1,0.02,1.6`.
-
-    Raises
-    ------
-    FacemimeError
-        If it is anything else.
-    """
+    """Parse a point of the face, `8=1234` or `8=0.1,0.02,1.6`; raises FacemimeError if it is anything else."""
     number, _, place = text.partition("=")
     values = place.split(",")
     with contextlib.suppress(ValueError):

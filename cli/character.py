@@ -55,21 +55,9 @@ _NO_MARKS: Mapping[int, Mark] = {}
 
 
 def draw_landmarks(scene: bpy.types.Scene, head: bpy.types.Object, side: int) -> NDArray[np.uint8]:
-    """Render a face from the front, with the landmarks drawn over it.
+    """Render a face from the front, with the landmarks drawn over it, as BGR (side, side, 3).
 
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        A preview camera is added.
-    head : bpy.types.Object
-        A mesh with landmarks.
-    side : int
-        Width and height, pixels.
-
-    Returns
-    -------
-    (side, side, 3) uint8
-        BGR.
+    A preview camera is added to the scene.
     """
     setup_preview(scene, head, (side, side))
     (picture,) = render_frames(scene, np.array([float(scene.frame_current)]), (side, side))
@@ -94,16 +82,8 @@ _REACH = 0.1
 def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.Object:
     """Mark points of a face, and return the mesh on which they are.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        A mesh of the character, to which marked vertices belong. Positions mark the mesh of the character that is
-        nearest to them.
-
-    Raises
-    ------
-    HeadError
-        If there is no such vertex, or a position is not on the mesh.
+    Marked vertices belong to `obj`. Positions mark the mesh of its character that is nearest to them. Raises HeadError
+    if there is no such vertex, or a position is not on the mesh.
     """
     chosen = {number: mark for number, mark in marks.items() if isinstance(mark, int)}
     positions = {number: np.array(mark) for number, mark in marks.items() if not isinstance(mark, int)}
@@ -218,25 +198,8 @@ def bind(
 ) -> BoundCharacter:
     """Open or import a character and bind it, and make a set of shape keys if one is given.
 
-    Joined lips and eyes are cut open first if `cut_open`.
-
-    Parameters
-    ----------
-    character : HeadFile
-        File and object of the character.
-    keys : KeySet or None
-        Shape keys to add.
-    takes : sequence of Take
-        Takes that refine these keys.
-    cut_open : bool
-        Whether joined lips and eyes are cut open.
-    marks : mapping of int to Mark
-        Points of the face, by iBUG number.
-
-    Raises
-    ------
-    FacemimeError
-        If the file cannot be read, has no such object, or no face is found.
+    Joined lips and eyes are cut open first if `cut_open`. The takes refine the keys; marks are points of the face, by
+    iBUG number. Raises FacemimeError if the file cannot be read, has no such object, or no face is found.
     """
     with read_from(character.path):
         open_file(character.path)
@@ -291,17 +254,8 @@ def write_picture(bound: BoundCharacter, path: Path) -> None:
 def sample(character: HeadFile, clip: str = "") -> Take:
     """Open or import an animated character, bind it unless it is bound, and sample its motion as a take.
 
-    Parameters
-    ----------
-    character : HeadFile
-        File and object of the character.
-    clip : str
-        Name of the clip that is sampled; by default what plays in the file.
-
-    Raises
-    ------
-    FacemimeError
-        If the file cannot be read, no face is found, the face does not move, or there is no such clip.
+    The motion is that of the named clip; by default of what plays in the file. Raises FacemimeError if the file cannot
+    be read, no face is found, the face does not move, or there is no such clip.
     """
     with read_from(character.path):
         head = open_head(character)

@@ -104,17 +104,7 @@ def _leave_modes() -> None:
 
 
 def object_named(path: Path, name: str) -> bpy.types.Object:
-    """Return the object called `name` in the open file, which was read from `path`.
-
-    Raises HeadError if the file has no such object.
-
-    Parameters
-    ----------
-    path : Path
-        The file, for the message.
-    name : str
-        Name of the object.
-    """
+    """Return the object called `name` in the open file, which was read from `path`; raises HeadError if it has none."""
     # `get` raises on names that are not UTF-8.
     found = next((obj for obj in bpy.data.objects if obj.name == name), None)
     if found is None:
@@ -124,13 +114,7 @@ def object_named(path: Path, name: str) -> bpy.types.Object:
 
 
 def open_file(path: Path) -> None:
-    """Open a .blend file, or import a file of another program into an empty one.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be read.
-    """
+    """Open a .blend file, or import a file of another program into an empty one; raises SourceError if it cannot."""
     suffix = path.suffix.lower()
     if suffix == ".blend":
         open_blend(path)
@@ -233,15 +217,8 @@ def read_from(path: Path) -> Iterator[None]:
 def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.types.Object:
     """Open the head in a file. A character that is not bound yet is bound.
 
-    Parameters
-    ----------
-    by_keys : collection of str, optional
-        A character with a known set of shape keys for these coefficients of ARKit is bound by its keys alone.
-
-    Raises
-    ------
-    FacemimeError
-        If the file cannot be read, the object does not exist, several have landmarks, or no face is found.
+    One with a known set of shape keys for the coefficients `by_keys` of ARKit is bound by its keys alone. Raises
+    FacemimeError if the file cannot be read, the object does not exist, several have landmarks, or no face is found.
     """
     path, name = file.path, file.name
     with read_from(path):

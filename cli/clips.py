@@ -40,13 +40,7 @@ _MOST_CHARACTERS = 1000
 
 
 def checked_record(data: Any) -> dict[str, Any]:
-    """Check a record, and drop unknown entries.
-
-    Raises
-    ------
-    ValueError
-        If an entry is missing or of another kind.
-    """
+    """Check a record, and drop unknown entries; raises ValueError if an entry is missing or of another kind."""
     given = as_object(data, "the record")
     record: dict[str, Any] = {
         "clip": _name(given.get("clip")),
@@ -107,15 +101,7 @@ class Clip:
     name: str
 
     def output(self, folder: Path, suffix: str) -> Path:
-        """An output of this clip, by its suffix.
-
-        Parameters
-        ----------
-        folder : Path
-            Output folder of the batch.
-        suffix : str
-            Suffix of the file.
-        """
+        """An output of this clip in the output folder of the batch, by its suffix."""
         return folder / f"{self.name}{suffix}"
 
 
@@ -124,12 +110,7 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
 
     Hidden files in folders are skipped, as macOS creates one beside each video that it copies to other disks. Paths in
     a list are relative to it; empty lines and those that begin with # are ignored. Missing files in a list are reported
-    when they are processed.
-
-    Raises
-    ------
-    SourceError
-        If a source is missing or contains no clip.
+    when they are processed. Raises SourceError if a source is missing or contains no clip.
     """
     clips: list[Path] = []
     for source in sources:
@@ -178,13 +159,7 @@ def _no_list(path: Path) -> SourceError:
 
 
 class Namer:
-    """Names clips by their file name and a checksum of everything that decides the result.
-
-    Parameters
-    ----------
-    job : PuppetJob
-        The job for each clip.
-    """
+    """Names clips by their file name and a checksum of everything that decides the result, such as the job."""
 
     def __init__(self, job: PuppetJob) -> None:
         files = {"head": None if job.head is None else job.head.path, "points": job.points, "map": job.map}
@@ -218,13 +193,7 @@ def checksum(path: Path) -> str:
 
 
 def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
-    """The record of a clip; None if it is not done, or its outputs are missing.
-
-    Parameters
-    ----------
-    folder : Path
-        Output folder of the batch.
-    """
+    """The record of a clip in the output folder; None if it is not done, or its outputs are missing."""
     try:
         record = checked_record(parse_json(read_text(clip.output(folder, ".json"))))
     except (OSError, ValueError):  # missing, truncated or not a record: the clip is processed again
@@ -235,14 +204,7 @@ def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
 def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:
     """Write the record of a clip for the report, after all other outputs: its existence means that the clip is done.
 
-    Parameters
-    ----------
-    folder : Path
-        Output folder of the batch.
-    seconds : float
-        Time that processing took.
-    thumbnails : sequence of bytes
-        JPEG files of the least certain frames.
+    It has the seconds that processing took, and JPEG files of the least certain frames.
     """
     record = {
         "clip": clip.path.name,

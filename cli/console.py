@@ -20,10 +20,7 @@ _TURNING = frozenset("\u200e\u200f\u061c\u202a\u202b\u202c\u202d\u202e\u2066\u20
 def say(text: str) -> None:
     """Write a result to the standard output; a reader that stops early, such as `head`, is not an error.
 
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
+    Raises OutputError if it cannot be written.
     """
     if sys.stdout is None:  # closed by the caller
         return
@@ -87,14 +84,7 @@ class Screen:
 class Progress:
     """A progress line, rewritten in place on a terminal, and otherwise printed once at the end.
 
-    Parameters
-    ----------
-    title : str
-        Name of the task.
-    total : int
-        Expected number of steps; 0 if unknown.
-    unit : str
-        Name of the steps.
+    It counts steps of a unit up to the expected total, 0 if that is unknown.
     """
 
     def __init__(self, title: str, total: int = 0, stream: TextIO | None = None, unit: str = "frames") -> None:

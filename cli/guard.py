@@ -48,17 +48,9 @@ def is_child() -> bool:
 
 
 def run_in_child(line: Sequence[str], path: Path) -> int:
-    """Run a command line that reads a stranger's file in a child process; returns its exit status.
+    """Run a command line that reads a stranger's file in a child process, and return its exit status.
 
-    Parameters
-    ----------
-    line : sequence of str
-        Arguments of the command.
-
-    Raises
-    ------
-    SourceError
-        If the child died.
+    Raises SourceError if the child died.
     """
     with tempfile.TemporaryDirectory(prefix="facemime-") as folder:
         mark = Path(folder) / "running"
@@ -117,10 +109,7 @@ def _data_size() -> int | None:
 def leashed(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
     """Run a command in a process that ends when this one does, even by a crash, as its standard input then ends.
 
-    Parameters
-    ----------
-    **options
-        Further arguments of `Popen`.
+    The options are those of `Popen`.
     """
     end, held = os.pipe()  # not inherited by other processes, so that nothing else keeps it open
     try:

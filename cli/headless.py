@@ -58,13 +58,8 @@ class Stage:
 def open_stage(job: PuppetJob) -> Stage:
     """Open the head of `job`, by default the built-in one in a new file, with its control points.
 
-    The built-in head has its face units as shape keys if the bake uses existing keys.
-
-    Raises
-    ------
-    FacemimeError
-        If a file cannot be read, the object does not exist, none or several have landmarks, or the head cannot be
-        driven or baked.
+    The built-in head has its face units as shape keys if the bake uses existing keys. Raises FacemimeError if a file
+    cannot be read, the object does not exist, none or several have landmarks, or the head cannot be driven or baked.
     """
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
@@ -82,13 +77,7 @@ def _moment(start: float, end: float) -> str:
 
 
 def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> PuppetReport:
-    """Animate the head by `take` and write all outputs; `video` is None if there is only the take.
-
-    Parameters
-    ----------
-    video : Path or None
-        The video that was tracked; None if there is only the take.
-    """
+    """Animate the head by `take` and write all outputs; `video` is None if there is only the take."""
     scene, head, own = stage.scene, stage.head, job.head is not None
     if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
@@ -168,13 +157,7 @@ def _look_through_camera() -> None:
 
 
 def save_blend(path: Path) -> None:
-    """Save the open file; an existing one is replaced only by a complete one.
-
-    Raises
-    ------
-    OutputError
-        If it cannot be written.
-    """
+    """Save the open file; an existing one is replaced only by a complete one. Raises OutputError if that fails."""
     with saved_by_blender(path, _is_complete) as temporary, STOPPING.holding(), caches_beside(path):
         bpy.ops.wm.save_as_mainfile(filepath=temporary, copy=True, compress=True)
 
@@ -189,14 +172,7 @@ def _is_complete(path: Path) -> bool:
 def _write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start: float, path: Path) -> None:
     """Write a video of the performer with landmarks beside the avatar, at the nominal rate of the source.
 
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        The scene with the animated head.
-    video : Path or None
-        Its video, or None.
-    start : float
-        Frame of the scene at 0 s.
+    `start` is the frame of the animated head's scene at 0 s.
     """
     fps = float(take.info.get("fps", 25.0))
     frames = list(at_constant_rate(_stamps(take), fps))
@@ -221,19 +197,7 @@ def _write_preview(scene: bpy.types.Scene, take: Take, video: Path | None, start
 def _write_sheet(
     scene: bpy.types.Scene, take: Take, video: Path | None, frames: NDArray[np.intp], start: float, path: Path
 ) -> None:
-    """Write a contact sheet of performer and avatar in `frames` of `take`.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        The scene with the animated head.
-    video : Path or None
-        Its video, or None.
-    frames : array
-        Frames of the take, (N,).
-    start : float
-        Frame of the scene at 0 s.
-    """
+    """Write a contact sheet of performer and avatar in frames (N,) of `take`; `start` is the scene's frame at 0 s."""
     avatars = _avatars(scene, take.times[frames], start)
     pairs = []
     for frame, picture, avatar in zip(frames, _pictures(take, video, frames.tolist()), avatars, strict=True):

@@ -24,13 +24,7 @@ INTERRUPTED_NAME = ".interrupted"
 
 
 def load_with_warnings(path: Path) -> Take:
-    """Load a take; what is missing from its file is reported on the standard error.
-
-    Raises
-    ------
-    SourceError
-        If it cannot be read.
-    """
+    """Load a take, and report on the standard error what is missing from its file; raises SourceError if unreadable."""
     check_readable(path)
     take = load_take(path)
     _tell_what_is_missing(path, take)
@@ -52,15 +46,7 @@ def unfinished_beside(output: Path) -> Path:
 
 
 def place_beside(output: Path, suffix: str) -> Path:
-    """File for the result of an interrupted run: `output` if it does not exist, otherwise a free name beside it.
-
-    Parameters
-    ----------
-    output : Path
-        The file that was asked for.
-    suffix : str
-        Suffix of the result.
-    """
+    """File for the result of an interrupted run: `output` if it does not exist, otherwise a free name beside it."""
     if not os.path.lexists(output):
         return output
     return free_name(output.with_suffix(f"{INTERRUPTED_NAME}{suffix}"))
@@ -94,21 +80,9 @@ def track(
     settings: TrackingSettings = DEFAULTS,
     rate: float = PICTURE_RATE,
 ) -> Take:
-    """Track `video`, writing the take to `unfinished` at the same time.
+    """Track `video`, or a folder of pictures at `rate` frames per second, and write the take to `unfinished` meanwhile.
 
-    Parameters
-    ----------
-    unfinished : Path
-        File that grows while tracking.
-    face : (float, float) or None
-        As for `FaceTracker.choose`.
-    rate : float
-        Frames per second, if it is a folder of pictures.
-
-    Raises
-    ------
-    SourceError
-        If the video cannot be read, or no face was found in it.
+    The face is as for `FaceTracker.choose`. Raises SourceError if the video cannot be read, or no face was found in it.
     """
     _require(video)
     tracker = FaceTracker.load(settings=settings)
@@ -128,24 +102,11 @@ def track(
 
 
 def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings, rate: float) -> list[tuple[Path, Take]]:
-    """Track everybody in `video`, writing a take a person at the same time.
+    """Track everybody in `video`, or in a folder of pictures at `rate` frames per second, and write their takes
+    meanwhile.
 
-    Parameters
-    ----------
-    unfinished : Path
-        Name of the files that grow while tracking, which are numbered.
-    rate : float
-        Frames per second, if it is a folder of pictures.
-
-    Returns
-    -------
-    list of (Path, Take)
-        The takes and their files; those of people who were hardly seen are deleted.
-
-    Raises
-    ------
-    SourceError
-        If the video cannot be read, or no face was found in it.
+    The files that grow have numbered names like `unfinished`. Returns them with the takes; those of people who were
+    hardly seen are deleted. Raises SourceError if the video cannot be read, or no face was found in it.
     """
     _require(video)
     tracker = FaceTracker.load(settings=settings)
@@ -186,15 +147,7 @@ def _telling(progress: Progress) -> Callable[[int, int, object], bool]:
 
 
 def keep_interrupted(take: Take, unfinished: Path, kept: Path) -> int:
-    """Move the take of an interrupted run to `kept`, with a message; returns the exit status.
-
-    Parameters
-    ----------
-    unfinished : Path
-        The file that grew.
-    kept : Path
-        The file to keep.
-    """
+    """Move the take of an interrupted run from `unfinished` to `kept`, with a message; returns the exit status."""
     settle(unfinished, kept)
     tell(f"facemime: interrupted; the {len(take)} frames tracked are in {kept}.")
     return INTERRUPTED
@@ -205,19 +158,10 @@ Outputs = Sequence[tuple[Path | None, Collection[str]]]
 
 @contextlib.contextmanager
 def outputs_of(outputs: Outputs, inputs: Mapping[str, Path | None], *more: Path) -> Iterator[None]:
-    """Check the outputs of a command, and claim them for this process.
+    """Check the outputs of a command, which users named, by their allowed suffixes, and claim them for this process.
 
-    Parameters
-    ----------
-    outputs : sequence of (Path or None, suffixes)
-        Outputs that the user named, and their allowed suffixes.
-    inputs : mapping of str to (Path or None)
-        Inputs by their description, which must not be overwritten.
-
-    Raises
-    ------
-    OutputError
-        If an output cannot be written, is an input, or is being written by another process.
+    They must not be one of the inputs, which are given by their description. Raises OutputError if an output cannot be
+    written, is an input, or is being written by another process.
     """
     for path, suffixes in outputs:
         if path is not None:
@@ -230,19 +174,9 @@ def outputs_of(outputs: Outputs, inputs: Mapping[str, Path | None], *more: Path)
 
 @contextmanager
 def importing_blender(what: str, line: str = "...") -> Iterator[None]:
-    """Import modules that need Blender within this context.
+    """Import modules that need Blender within this context; raises FacemimeError if one cannot be imported.
 
-    Parameters
-    ----------
-    what : str
-        What needs Blender: a command, an option or an input.
-    line : str
-        The command line to advise, after `facemime`.
-
-    Raises
-    ------
-    FacemimeError
-        If a module cannot be imported.
+    `what` is the command, option or input that needs Blender, and `line` the command line to advise, after `facemime`.
     """
     try:
         with STOPPING.importing():

@@ -84,10 +84,7 @@ def _locate(paths: Sequence[Path], output: Path, overlay: Path | None, tracker: 
 def _drawings(paths: Sequence[Path], folder: Path) -> list[Path]:
     """Files in `folder` for the drawings, named as the images, and numbered if names repeat.
 
-    Raises
-    ------
-    OutputError
-        If the folder cannot be written to, or contains one of the images.
+    Raises OutputError if the folder cannot be written to, or contains one of the images.
     """
     drawings: dict[Path, None] = {}
     for path in paths:

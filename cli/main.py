@@ -24,19 +24,10 @@ from .stopping import INTERRUPTED, STOPPING
 
 
 def main(argv: Sequence[str] | None = None, *, guard: bool = False) -> int:
-    """Run the command.
+    """Run the command, and return the exit status.
 
-    Parameters
-    ----------
-    argv : sequence of str, optional
-        The arguments; by default those of this process.
-    guard : bool
-        Whether files of characters, which may be damaged, are read in a child process that may die.
-
-    Returns
-    -------
-    int
-        The exit status: 0, 1 for an error with a message, 2 for a wrong command line, 130 for Ctrl-C, 143 for SIGTERM.
+    The status is 0, 1 for an error with a message, 2 for a wrong command line, 130 for Ctrl-C, 143 for SIGTERM. If
+    `guard` is set, files of characters, which may be damaged, are read in a child process that may die.
     """
     with contextlib.ExitStack() as stack:
         if sys.stderr is None:  # closed by the caller

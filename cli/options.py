@@ -81,17 +81,7 @@ def _shortened(text: str) -> str:
 
 
 def add_command(commands: Commands, name: str, summary: str) -> argparse.ArgumentParser:
-    """Add a command, whose `summary` is shown in the list of commands and in its own help.
-
-    Parameters
-    ----------
-    commands : Commands
-        The commands of the parser.
-    name : str
-        Name of the command.
-    summary : str
-        What it does, in lower case.
-    """
+    """Add a command, whose `summary`, in lower case, is shown in the list of commands and in its own help."""
     parser: argparse.ArgumentParser = commands.add_parser(
         name, help=summary, description=f"{summary[0].upper()}{summary[1:]}."
     )
@@ -99,17 +89,7 @@ def add_command(commands: Commands, name: str, summary: str) -> argparse.Argumen
 
 
 def add_output(parser: argparse.ArgumentParser, metavar: str, summary: str) -> None:
-    """Add the option for the output, which is required.
-
-    Parameters
-    ----------
-    parser : argparse.ArgumentParser
-        Parser of the command.
-    metavar : str
-        Name of the file in the help.
-    summary : str
-        What is written.
-    """
+    """Add the option for the output, which is required; `summary` says what is written."""
     parser.add_argument("-o", "--output", type=Path, required=True, metavar=metavar, help=summary)
 
 
@@ -142,10 +122,7 @@ def add_key_option(parser: argparse.ArgumentParser) -> None:
 def face_of(text: str) -> tuple[float, float] | None:
     """Parse `--face` into a position, as for `FaceTracker.choose`; None for the largest face.
 
-    Raises
-    ------
-    FacemimeError
-        If it is not a face.
+    Raises FacemimeError if it is not a face.
     """
     if not text:
         return None
@@ -220,33 +197,15 @@ def add_preset_option(parser: argparse.ArgumentParser) -> None:
 
 
 def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> Options:
-    """Parse a command line, in a second pass with the defaults of its preset.
-
-    Parameters
-    ----------
-    line : sequence of str or None
-        The arguments; None for those of the process.
-
-    Raises
-    ------
-    SourceError
-        If the preset cannot be read.
-    """
+    """Parse a command line, in a second pass with the defaults of its preset, which may raise SourceError."""
     options = vars(parser.parse_args(line))
     return options if options.get("preset") is None else vars(parser.parse_args(line))
 
 
 def filled(job: type[Job], options: Options, **more: Any) -> Job:
-    """Create a dataclass from the options that have the names of its fields.
+    """Create a dataclass, and those in its fields, from the options that have the names of its fields, and from `more`.
 
-    Parameters
-    ----------
-    job : type
-        The dataclass. A field that is a dataclass itself is filled in the same way.
-    options : mapping of str to object
-        Options that name no field are left out, and a field without an option has its default.
-    **more
-        Values of other fields.
+    Options that name no field are left out, and a field without an option has its default.
     """
     kinds = get_type_hints(job)
     values: dict[str, Any] = {}
@@ -264,14 +223,9 @@ def add_settings(
     without: Collection[str] = (),
     omitted: Mapping[str, str] | None = None,
 ) -> None:
-    """Add an option for each setting of a group, named after its field.
+    """Add an option for each setting of a group, named after its field, except those in `without`.
 
-    Parameters
-    ----------
-    without : collection of str
-        Names of fields to leave out.
-    omitted : dict of str to str, optional
-        Numbers whose option is None if it is omitted, and what their help says instead of a default.
+    `omitted` are the numbers whose option is None if it is omitted, with what their help says instead of a default.
     """
     for name, setting in settings_of(group).items():
         if name in without:
@@ -318,17 +272,9 @@ def _shown(setting: Setting, value: Any) -> str:
 
 
 def puppet_job(options: Options, **more: Any) -> PuppetJob:
-    """Create the job that the options of `add_puppet_options` describe.
+    """Create the job that the options of `add_puppet_options` describe, with `more` fields that have no option.
 
-    Parameters
-    ----------
-    **more
-        Fields of `PuppetJob` that have no option of their name.
-
-    Raises
-    ------
-    FacemimeError
-        If options contradict each other.
+    Raises FacemimeError if options contradict each other.
     """
     given = {**options, **dict(zip(_FOLLOWED, _POSES[options["pose"]], strict=True))}
     if given["map"] is not None and given["keys"] == AUTOMATIC:

@@ -65,7 +65,6 @@ class LivePerformance:
         Time after which to stop; None for the end of the video, or a signal.
     face : (float, float) or None
         As for `FaceTracker.choose`.
-    tracking : TrackingSettings
     """
 
     camera: str | None
@@ -112,17 +111,9 @@ def add_head_option(parser: argparse.ArgumentParser) -> None:
 
 
 def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
-    """Return a head, and its appearance for viewers.
+    """Return a head, by default the built-in one, and its appearance for viewers; one in a file is bound if necessary.
 
-    Parameters
-    ----------
-    head : HeadFile or None
-        A head in a file, which is bound if it is not a head yet; None for the built-in one.
-
-    Raises
-    ------
-    FacemimeError
-        If Blender is missing, or the file has no head and no face.
+    Raises FacemimeError if Blender is missing, or the file has no head and no face.
     """
     if head is None:
         return LiveHead(built_in_head(lashes=True)), built_in_appearance()
@@ -138,13 +129,7 @@ def head_to_show(head: HeadFile | None) -> tuple[LiveHead, Appearance]:
 def watch(worker: LiveWorker, state: Callable[[], tuple[int, str]], progress: Progress, seconds: float | None) -> None:
     """Run a worker and show progress until it ends, a signal comes, or the time is over; raises its error.
 
-    Parameters
-    ----------
-    worker : LiveWorker
-    state : callable
-        Returns how many frames went out, and why none do; "" if they do.
-    progress : Progress
-    seconds : float or None
+    `state` returns how many frames went out, and why none do; "" if they do.
     """
     worker.start()
     try:

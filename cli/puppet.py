@@ -119,10 +119,7 @@ def _finish(unfinished: Path, output: Path, take: Take, given: Options) -> int:
 def run_puppet(job: PuppetJob) -> int:
     """Run `facemime puppet`: animate a head, and write pictures of it; returns the exit status.
 
-    Raises
-    ------
-    FacemimeError
-        If Blender is missing, or anything in the job cannot be read, written or driven.
+    Raises FacemimeError if Blender is missing, or anything in the job cannot be read, written or driven.
     """
     with importing_blender("puppet", "puppet ..."):
         from . import headless

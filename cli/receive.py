@@ -106,10 +106,7 @@ def _settings(options: Options) -> StreamSettings:
 def _record_streams(options: Options, settings: StreamSettings) -> int:
     """Record until a signal, or the time is over; returns the exit status.
 
-    Raises
-    ------
-    FacemimeError
-        If nothing came, or a take cannot be written.
+    Raises FacemimeError if nothing came, or a take cannot be written.
     """
     outputs: list[Path] = options["output"]
     source = StreamSource(settings, every=True)

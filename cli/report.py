@@ -46,18 +46,7 @@ class Entry:
 
 
 def write_report(entries: Sequence[Entry], folder: Path) -> None:
-    """Write report.json and report.html into the output folder.
-
-    Parameters
-    ----------
-    folder : Path
-        Output folder of the batch.
-
-    Raises
-    ------
-    OutputError
-        If they cannot be written.
-    """
+    """Write report.json and report.html into the output folder; raises OutputError if they cannot be written."""
     summary = {"counts": _counts(entries), "clips": [_without_pictures(entry) for entry in entries]}
     with replacing(folder / "report.json") as temporary:
         temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")

@@ -215,12 +215,7 @@ def _sampled(animation: HeadFile, clip: str) -> Take:
 
 
 def parse_span(text: str) -> Span:
-    """Parse a span `A:B` in seconds, either end of which may be omitted.
-
-    Raises
-    ------
-    FacemimeError
-        If it is not a span, or is empty.
+    """Parse a span `A:B` in seconds, either end of which may be omitted; raises FacemimeError if it is empty or none.
     """
     first, colon, last = text.partition(":")
     try:
