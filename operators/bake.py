@@ -236,10 +236,7 @@ class _OnTakesVideo(AsksForFile, OnTake):
     def video(self, scene: bpy.types.Scene) -> tuple[Path, float]:
         """Return the file, and the time in it at which the take's time is 0, seconds.
 
-        Raises
-        ------
-        SourceError
-            If the video cannot be found and no file was chosen.
+        Raises SourceError if the video cannot be found and no file was chosen.
         """
         line = takes_store.chosen(scene)
         path = self.path if self.filepath else takes_store.video_of(scene, line)

@@ -26,14 +26,9 @@ class Box(NamedTuple):
 
 
 def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[int, int]) -> Box:
-    """Return where the preview is drawn: where the user placed it, or in the lower left corner.
+    """Return where the preview, of a height and width, is drawn: where the user placed it, or in the lower left corner.
 
-    It is always in view, clear of what covers the viewport, and at most a quarter of the rest.
-
-    Parameters
-    ----------
-    picture : (int, int)
-        Height and width of the picture, pixels.
+    It is always in view, clear of what covers the viewport, and at most a quarter of the rest. The size is in pixels.
     """
     user, scale = preferences(), bpy.context.preferences.system.ui_scale
     free, aspect = free_box(area, region), picture[0] / picture[1]
@@ -47,13 +42,9 @@ def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[i
 
 
 def has_preview(screen: bpy.types.Screen, region: bpy.types.Region) -> bool:
-    """Return whether the preview is in this region: the largest 3D Viewport of the screen, or the view of its Quad View
-    of which least is covered.
+    """Return whether the preview is in this region.
 
-    Parameters
-    ----------
-    region : bpy.types.Region
-        A region of one of its areas.
+    It is in the largest 3D Viewport of the screen, or the view of its Quad View of which least is covered.
     """
     largest = largest_viewport(screen)
     if largest is None:

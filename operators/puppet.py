@@ -53,13 +53,7 @@ def require_puppet(operator: type[bpy.types.Operator], context: bpy.types.Contex
 
 
 def start_puppet() -> None:
-    """Start the puppet from another operator.
-
-    Raises
-    ------
-    FacemimeError
-        If it cannot be started.
-    """
+    """Start the puppet from another operator; raises FacemimeError if it cannot be started."""
     try:
         bpy.ops.facemime.puppet("INVOKE_DEFAULT")  # type: ignore[attr-defined]  # registered at run time
     except RuntimeError as error:

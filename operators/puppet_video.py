@@ -69,10 +69,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     def finish(self, context: bpy.types.Context) -> OperatorResult:
         """Keep the tracked take in the list, and bake it.
 
-        Raises
-        ------
-        FacemimeError
-            If nothing was tracked, or the take cannot be baked.
+        Raises FacemimeError if nothing was tracked, or the take cannot be baked.
         """
         try:
             take = self._tracked.take()

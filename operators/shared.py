@@ -19,12 +19,7 @@ from ..sessions.session import Session
 
 
 def report(operator: bpy.types.Operator, template: str, level: ReportLevel = "INFO", /, **values: Any) -> None:
-    """Report a message, translated; `template` and `values` are those of `Message`.
-
-    Parameters
-    ----------
-    level : {"INFO", "WARNING", "ERROR"}
-    """
+    """Report a message, translated; `template` and `values` are those of `Message`."""
     operator.report({level}, displayable(Message(template, **values)))
 
 
@@ -74,12 +69,8 @@ class ReportsErrors(OperatorMixin):
     def reporting(
         self, work: Callable[[bpy.types.Context], OperatorResult | None], context: bpy.types.Context
     ) -> OperatorResult:
-        """Return the result of `work(context)`, or CANCELLED if it raised an error, which is reported.
-
-        Parameters
-        ----------
-        work : callable
-            Takes the context and returns an operator's result; None stands for FINISHED.
+        """Return the result of `work(context)`, or CANCELLED if it raised an error, which is reported; None means
+        FINISHED.
         """
         try:
             return work(context) or {"FINISHED"}
@@ -89,37 +80,19 @@ class ReportsErrors(OperatorMixin):
 
 
 def require(operator: type[bpy.types.Operator], met: bool, message: str) -> bool:
-    """Return for `poll` whether a condition is met; otherwise set the poll message of `operator`.
-
-    Parameters
-    ----------
-    message : str
-        In English: what to do first.
-    """
+    """Return for `poll` whether a condition is met; otherwise set the poll message: in English, what to do first."""
     if not met:
         operator.poll_message_set(message)
     return met
 
 
 def require_object_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Require Object Mode, as `require` does.
-
-    Parameters
-    ----------
-    operator : type[bpy.types.Operator]
-        The operator, which shows the reason.
-    """
+    """Require Object Mode, as `require` does."""
     return require(operator, context.mode == "OBJECT", "Switch to Object Mode first")
 
 
 def require_left_edit_mode(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Require a mode other than Edit Mode, in which vertex groups cannot be written; as `require` does.
-
-    Parameters
-    ----------
-    operator : type[bpy.types.Operator]
-        The operator, which shows the reason.
-    """
+    """Require a mode other than Edit Mode, in which vertex groups cannot be written; as `require` does."""
     return require(operator, context.mode != "EDIT_MESH", "Leave Edit Mode first")
 
 
@@ -160,13 +133,7 @@ def required_subject(context: bpy.types.Context) -> bpy.types.Object:
 
 
 def require_heads(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
-    """Require a head that can be driven, as `require` does.
-
-    Parameters
-    ----------
-    operator : type[bpy.types.Operator]
-        The operator, which shows the reason.
-    """
+    """Require a head that can be driven, as `require` does."""
     return require(operator, bool(heads_in(context)), "Select a head, or add one in the Head panel")
 
 

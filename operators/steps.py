@@ -28,13 +28,7 @@ class ShowsProgress(OperatorMixin):
     _timer: bpy.types.Timer | None = None
 
     def start_ticking(self, context: bpy.types.Context, interval: float) -> OperatorResult:
-        """Start the timer, with `interval` in seconds, and the progress, which goes from 0 to 1.
-
-        Parameters
-        ----------
-        interval : float
-            Seconds between two ticks.
-        """
+        """Start the timer, with `interval` in seconds, and the progress, which goes from 0 to 1."""
         manager = context.window_manager
         self._timer = manager.event_timer_add(interval, window=context.window)
         manager.progress_begin(0.0, 1.0)
@@ -138,20 +132,7 @@ def in_background(work: Work[Result]) -> Generator[float, None, Result]:
 
 
 class Background:
-    """Work in a thread.
-
-    Parameters
-    ----------
-    work : callable
-        Must not touch Blender.
-
-    Attributes
-    ----------
-    result
-        Its result.
-    error : Exception or None
-        The exception that it raised.
-    """
+    """Work in a thread, which must not touch Blender, with its `result`, or the `error` that it raised."""
 
     def __init__(self, work: Callable[[], Any]) -> None:
         self._work = work

@@ -32,10 +32,7 @@ _BLEND_PROPERTY = FloatProperty(
 class _AddsEditedTake(OnTake):
     """Mixin: shows a dialog, and adds the result of `changed` below the selected take, which is kept.
 
-    Attributes
-    ----------
-    suffix : str
-        Text appended to the name of the selected take.
+    `suffix` is appended to the name of the selected take.
     """
 
     suffix = ""

@@ -36,10 +36,7 @@ _KEEPING = 5.0
 class Calibration:
     """A calibration that has been requested; it starts after a countdown.
 
-    Parameters
-    ----------
-    range_of : bool
-        Calibrate the range of eyes and mouth rather than the neutral face.
+    If `range_of` is set, it is of the range of eyes and mouth rather than the neutral face.
     """
 
     def __init__(self, worker: LiveWorker, *, range_of: bool, countdown: float) -> None:
@@ -125,17 +122,8 @@ def beep() -> bool:
 class Calibrating:
     """Calibrates the performer of a session.
 
-    Parameters
-    ----------
-    on_calibrated : callable
-        Called with the `Neutral` of each calibration that was requested.
-    on_learnt : callable, optional
-        Called from time to time with the `Neutral` learnt so far.
-
-    Attributes
-    ----------
-    current : Calibration or None
-        The calibration that has been requested, or is running.
+    `on_calibrated` is called with the `Neutral` of each calibration that was requested, and `on_learnt` from time to
+    time with the one learnt so far. `current` is the calibration that has been requested, or is running, or None.
     """
 
     def __init__(
@@ -153,10 +141,7 @@ class Calibrating:
     def begin(self, *, range_of: bool = False, countdown: float = COUNTDOWN) -> None:
         """Calibrate after a countdown in seconds: the neutral face, or the range of eyes and mouth.
 
-        Raises
-        ------
-        HeadError
-            If the range is requested before there is a neutral face.
+        Raises HeadError if the range is requested before there is a neutral face.
         """
         if range_of and self._worker.first.neutral is None:
             raise HeadError("There is no neutral face yet. Calibrate it first.")

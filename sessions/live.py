@@ -45,17 +45,10 @@ def token() -> str:
 
 
 def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object | None]) -> ViewerServer | None:
-    """Start the server if it is enabled.
+    """Start the server if it is enabled, with the heads in the order of the session; None for one that was deleted.
 
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object or None
-        The heads, in the order of the session; None for one that was deleted.
-
-    Raises
-    ------
-    FacemimeError
-        If it cannot be started, or other computers may connect and Blender's online access is turned off.
+    Raises FacemimeError if it cannot be started, or other computers may connect and Blender's online access is turned
+    off.
     """
     wanted = viewer_settings(settings.viewer, token())
     if wanted is None:
@@ -69,17 +62,9 @@ def open_viewer(settings: FacemimeSettings, objects: Sequence[bpy.types.Object |
 
 
 def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -> VertexSender | None:
-    """Start sending the moved vertices if this is enabled.
+    """Start sending the moved vertices if this is enabled, with the heads in the order of the session.
 
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
-        The heads, in the order of the session.
-
-    Raises
-    ------
-    FacemimeError
-        If the receiver is not known, or is another computer and Blender's online access is turned off.
+    Raises FacemimeError if the receiver is not known, or is another computer and Blender's online access is turned off.
     """
     if not sends_vertices(output):
         return None
@@ -89,12 +74,8 @@ def open_vertices(output: FacemimeOutput, objects: Sequence[bpy.types.Object]) -
 class Displays:
     """The browsers and programs that show the heads of a session, besides its viewports.
 
-    Attributes
-    ----------
-    viewer : ViewerServer or None
-        The server that shows the heads in browsers, if enabled; replaced by `view`.
-    vertices : VertexSender or None
-        The sender of the moved vertices, if enabled; replaced by `send_vertices`.
+    `viewer` is the server that shows the heads in browsers, replaced by `view`, and `vertices` the sender of the moved
+    vertices, replaced by `send_vertices`; each is None unless it is enabled.
     """
 
     def __init__(self, worker: LiveWorker) -> None:
@@ -220,10 +201,7 @@ class LiveSession(Session):
     def step(self) -> bool:
         """Display the newest result and return whether there was a new one.
 
-        Raises
-        ------
-        Exception
-            If the worker failed, its exception; HeadError if a head was changed, or all were deleted.
+        If the worker failed, raises its exception; raises HeadError if a head was changed, or all were deleted.
         """
         self._measure_redraw()
         self.rest_copies()

@@ -41,18 +41,8 @@ class PunchIn:
     """Plays the scene, records a range after the pre-roll, and inserts it into a take.
 
     If it is interrupted, the part that was recorded is left to the session, which adds it to the list as a separate
-    take.
-
-    Parameters
-    ----------
-    take : str
-        Path of the take, as in the list.
-    start, end : float
-        Range in the take's own time, seconds.
-    lead : float
-        Pre-roll, seconds.
-    blend : float
-        Duration of the transition at each end, seconds.
+    take. `take` is the path of the take, as in the list; `start` and `end` are the range in its own time, `lead` is the
+    pre-roll and `blend` the duration of the transition at each end, all in seconds.
     """
 
     def __init__(
@@ -81,10 +71,7 @@ class PunchIn:
     def step(self, recorder: Recordable) -> bool:
         """Continue, and return whether there is more to do; otherwise, and after an error, the playback is stopped.
 
-        Raises
-        ------
-        FacemimeError
-            If the range cannot be recorded or inserted.
+        Raises FacemimeError if the range cannot be recorded or inserted.
         """
         more = False
         try:
@@ -163,10 +150,7 @@ class Recorder:
     def start(self, scene: bpy.types.Scene, name: str) -> Recording:
         """Record everything that is tracked from now on, for the list of a scene; `name` is the base of the file name.
 
-        Raises
-        ------
-        FacemimeError
-            If there is a recording already, or the file cannot be created.
+        Raises FacemimeError if there is a recording already, or the file cannot be created.
         """
         self._require_none()
         heads = ["" if shown.gone else shown.obj.name for shown in self._session.heads]
@@ -190,10 +174,7 @@ class Recorder:
     def stop(self) -> None:
         """Stop the recording, and add the take to the list.
 
-        Raises
-        ------
-        FacemimeError
-            If the end of the file cannot be written, or the file cannot be read.
+        Raises FacemimeError if the end of the file cannot be written, or the file cannot be read.
         """
         recording = self.recording
         assert recording is not None
@@ -207,10 +188,7 @@ class Recorder:
     ) -> None:
         """Re-record a range of a take; the parameters are those of `PunchIn`.
 
-        Raises
-        ------
-        FacemimeError
-            If there is a recording already, or the range is empty.
+        Raises FacemimeError if there is a recording already, or the range is empty.
         """
         self._require_none()
         self.punch_in = PunchIn(scene, take, start, end, lead=lead, blend=blend)

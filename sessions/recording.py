@@ -38,25 +38,10 @@ class _Part:
 class Recording:
     """Recorder of everything that is tracked, `offset` seconds after the times of the source.
 
-    If several performers drive heads, each has a take over the same period; that of the first head comes
-    first, and is the one to which `path` and `seconds` refer. If a video is kept with the take, it becomes the source
-    of the take.
-
-    Parameters
-    ----------
-    worker : LiveWorker
-        Records from now on.
-    scene : bpy.types.Scene
-        The takes are added to its list; it also says whether to keep a video.
-    name : str
-        Base of the file names.
-    heads : sequence of str
-        Names of the heads, by which takes of several performers are named.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be created.
+    If several performers drive heads, each has a take over the same period, named after its heads; that of the first
+    head comes first, and is the one to which `path` and `seconds` refer. The takes are added to the list of the scene,
+    which also says whether to keep a video with them. If so, it becomes the source of the take. `name` is the base of
+    the file names. Raises OutputError if the file cannot be created.
     """
 
     def __init__(self, worker: LiveWorker, scene: bpy.types.Scene, name: str, heads: Sequence[str] = ()) -> None:
@@ -138,10 +123,7 @@ class Recording:
     def add_to_list(self) -> list[tuple[str, Path]]:
         """Add a recording that has ended to the list, and return the scene and the file of each take that was added.
 
-        Raises
-        ------
-        SourceError
-            If the file cannot be read.
+        Raises SourceError if the file cannot be read.
         """
         if not self.closed:
             with contextlib.suppress(OutputError):  # already reported by the session

@@ -56,10 +56,7 @@ class Session:
     def close(self, *, blocks: bool = True) -> None:
         """End the session; may be called twice.
 
-        Parameters
-        ----------
-        blocks : bool
-            Whether data-blocks may be removed, for which an undo step is pushed.
+        `blocks` is whether data-blocks may be removed, for which an undo step is pushed.
         """
         if self.closed:
             return

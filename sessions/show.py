@@ -51,22 +51,8 @@ class _Wanted:
 class TakeShow(Session):
     """Displays a take on heads at the current frame until `close`, in time with a bake.
 
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Its settings and frame are followed.
-
-    Attributes
-    ----------
-    scene : str
-        Name of the scene whose settings and frame are followed.
-    warnings : list of str
-        What keeps the take from being seen.
-
-    Raises
-    ------
-    FacemimeError
-        If a head cannot be driven, or the take contains no face.
+    The settings and the frame of the scene are followed. `warnings` say what keeps the take from being seen. Raises
+    FacemimeError if a head cannot be driven, or the take contains no face.
     """
 
     def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take) -> None:
@@ -104,10 +90,7 @@ class TakeShow(Session):
     def follow(self, scene: bpy.types.Scene) -> bool:
         """Apply the current settings of the scene; return whether they have changed since the last call.
 
-        Raises
-        ------
-        FacemimeError
-            If a head cannot be driven with these settings.
+        Raises FacemimeError if a head cannot be driven with these settings.
         """
         before, wanted = self._wanted, _Wanted.of(scene)
         if wanted == before:

@@ -38,17 +38,10 @@ _SELF = ("CAMERA", "STREAM")
 
 
 def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> LiveSession:
-    """Start a live session with the settings of a scene.
+    """Start a live session that moves heads with the settings of a scene.
 
-    Parameters
-    ----------
-    objects : sequence of bpy.types.Object
-        The heads to move.
-
-    Raises
-    ------
-    FacemimeError
-        If a head cannot be driven, a pose object or the source is missing, or the calibration is damaged.
+    Raises FacemimeError if a head cannot be driven, a pose object or the source is missing, or the calibration is
+    damaged.
     """
     if not objects:
         raise HeadError("No head is selected. Use Add > Mesh > Facemime Head, or find the face of your own.")
@@ -131,10 +124,7 @@ def _live_options(settings: FacemimeSettings, objects: Sequence[bpy.types.Object
 def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
     """Apply the current settings of a scene to a running session; takes a few microseconds if nothing has changed.
 
-    Raises
-    ------
-    HeadError
-        If a head is to be driven by shape keys that it does not have.
+    Raises HeadError if a head is to be driven by shape keys that it does not have.
     """
     settings = scene.facemime
     worker, options = session.worker, drive_settings(settings)
@@ -177,10 +167,7 @@ class RigWatch:
     def step(self) -> None:
         """Check a slice of a head, and read the whole head again if it has changed; free if there is nothing to check.
 
-        Raises
-        ------
-        FacemimeError
-            If a head can no longer be driven.
+        Raises FacemimeError if a head can no longer be driven.
         """
         if not self._checks:
             return

@@ -20,16 +20,8 @@ _JOIN_TIMEOUT = 10.0
 class TrackingSession(Session):
     """Tracks a video in a thread; `close` stops it at any time and keeps the frames so far.
 
-    Parameters
-    ----------
-    face : (float, float), optional
-        Face to track, as for `track_video`.
-    settings : TrackingSettings, optional
-
-    Attributes
-    ----------
-    done, total : int
-        Frames tracked, and frames in the video according to its header.
+    The face is as for `track_video`. `done` and `total` are the frames tracked, and those in the video according to its
+    header.
     """
 
     def __init__(
@@ -56,10 +48,7 @@ class TrackingSession(Session):
     def take(self) -> Take:
         """Wait for the thread and return the take.
 
-        Raises
-        ------
-        FacemimeError
-            If tracking failed, or was stopped before the first frame.
+        Raises FacemimeError if tracking failed, or was stopped before the first frame.
         """
         self._thread.join()
         if self._error is not None:

@@ -97,13 +97,7 @@ def problem_of(context: bpy.types.Context) -> str:
 
 
 def keep_findings(manager: bpy.types.WindowManager, name: str, findings: list[Finding]) -> None:
-    """Store the findings of a check for the panels.
-
-    Parameters
-    ----------
-    name : str
-        Name of the object that was checked.
-    """
+    """Store the findings of a check of the named object for the panels."""
     memory = manager.facemime
     memory.checked = name
     memory.findings.clear()

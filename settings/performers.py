@@ -26,10 +26,7 @@ def calibration_of(performer: FacemimePerformer) -> str:
 def read_calibration(settings: FacemimeSettings) -> Neutral | None:
     """Return the calibration of the selected performer, or None if that performer has not been calibrated.
 
-    Raises
-    ------
-    SourceError
-        If the stored calibration is damaged.
+    Raises SourceError if the stored calibration is damaged.
     """
     performer = selected_performer(settings)
     text = "" if performer is None else calibration_of(performer)
@@ -58,12 +55,7 @@ def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
 
 
 def add_performer(settings: FacemimeSettings, name: str = "") -> None:
-    """Add a performer and select it; without a `name` it is numbered.
-
-    Parameters
-    ----------
-    name : str, optional
-    """
+    """Add a performer and select it; without a `name` it is numbered."""
     taken = {performer.name for performer in settings.performers}
     performer = settings.performers.add()
     number = len(settings.performers)

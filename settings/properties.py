@@ -173,12 +173,8 @@ def listening_host(output: FacemimeOutput) -> str:
 def pairing_line(output: FacemimeOutput) -> str:
     """Return the line to paste on another computer.
 
-    Raises
-    ------
-    SourceError
-        If the public address is not an address, or the stored certificate cannot be used.
-    OutputError
-        If the certificate cannot be written.
+    Raises SourceError if the public address is not an address, or the stored certificate cannot be used, and
+    OutputError if the certificate cannot be written.
     """
     pairing = load_identity(pairing_folder()).pairing(
         listening_host(output), output.port or PAIRING_PORT, output.public
@@ -189,12 +185,8 @@ def pairing_line(output: FacemimeOutput) -> str:
 def open_paired_sender(output: FacemimeOutput) -> "TlsSender":
     """Return the sender to paired computers.
 
-    Raises
-    ------
-    SourceError
-        If the address cannot be listened on, or the stored certificate cannot be used.
-    OutputError
-        If the certificate cannot be written.
+    Raises SourceError if the address cannot be listened on, or the stored certificate cannot be used, and OutputError
+    if the certificate cannot be written.
     """
     from ..core.streams.transport.tls_server import TlsSender  # only now, as its libraries take a moment
 

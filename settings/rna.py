@@ -17,10 +17,7 @@ Owner = TypeVar("Owner", bound=type)
 def with_settings(*groups: Any) -> Callable[[Owner], Owner]:
     """Decorate a property group or operator with a property for each setting of `groups`, named after its field.
 
-    Parameters
-    ----------
-    *groups : type or dataclass instance
-        Groups of settings; the values of an instance are the defaults.
+    The groups are types, or instances of dataclasses whose values are the defaults.
     """
 
     def decorate(owner: Owner) -> Owner:
@@ -65,17 +62,7 @@ _DISPLAY: dict[str, dict[str, Any]] = {
 
 
 def read(group: type[Group], owner: Any, **more: Any) -> Group:
-    """Read a group of settings from Blender properties.
-
-    Parameters
-    ----------
-    group : type
-        The dataclass to create.
-    owner : bpy.types.PropertyGroup or bpy.types.Operator
-        Has a property for each setting of `group`.
-    **more
-        Values of the fields that are not settings.
-    """
+    """Read a group of settings from the Blender properties of `owner`; `more` are the fields that are not settings."""
     values = {
         name: getattr(owner, name) / setting.scale if setting.scale != 1.0 else getattr(owner, name)
         for name, setting in settings_of(group).items()

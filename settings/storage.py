@@ -83,13 +83,7 @@ def project_folder(name: str) -> Path:
 
 
 def relative(path: Path, blend: str = "") -> str:
-    """Return `path` relative to a .blend file if possible.
-
-    Parameters
-    ----------
-    blend : str
-        Path of the .blend file; "" is the open one.
-    """
+    """Return `path` relative to a .blend file, by default the open one, if possible."""
     blend = blend or bpy.data.filepath
     if not blend:
         return str(path)
@@ -100,15 +94,7 @@ def relative(path: Path, blend: str = "") -> str:
 
 
 def free_path(folder: Path, name: str, suffix: str) -> Path:
-    """Return a path that does not exist yet.
-
-    Parameters
-    ----------
-    name : str
-        Base of the file name, which is cleaned and numbered as needed.
-    suffix : str
-        Such as ".facetake".
-    """
+    """Return a path that does not exist yet; `name` is the base of the file name, cleaned and numbered as needed."""
     clean = bpy.path.clean_name(name.strip() or "take").strip("_") or "take"
     path, number = folder / f"{clean}{suffix}", 1
     while os.path.lexists(path):
@@ -120,10 +106,7 @@ def free_path(folder: Path, name: str, suffix: str) -> Path:
 def located(path: str) -> Path:
     """Return where the file is to which `path` refers: there, or where it was moved.
 
-    Parameters
-    ----------
-    path : str
-        Absolute, or relative to the open .blend file.
+    The path is absolute, or relative to the open .blend file.
     """
     there = _absolute(path)
     if os.path.lexists(there):
@@ -135,10 +118,7 @@ def located(path: str) -> Path:
 def beside(path: Path) -> Path:
     """Move a take that was begun before the first save, with its video, beside the .blend file; return its new path.
 
-    Parameters
-    ----------
-    path : Path
-        One that is elsewhere, or the take of a file that has not been saved, stays where it is.
+    One that is elsewhere, or the take of a file that has not been saved, stays where it is.
     """
     moved = _copied({path}, Path(bpy.data.filepath)) if bpy.data.filepath else {}
     for old in moved:

@@ -36,13 +36,7 @@ def chosen(scene: bpy.types.Scene) -> FacemimeTake:
 
 
 def at(scene: bpy.types.Scene, place: int) -> FacemimeTake:
-    """Return the take at the given index of the list; raises FacemimeError if the list has no such entry.
-
-    Parameters
-    ----------
-    place : int
-        Position in its list.
-    """
+    """Return the take at the given index of the list; raises FacemimeError if the list has no such entry."""
     takes = scene.facemime_takes.items
     if not 0 <= place < len(takes):
         raise FacemimeError("No take is selected. Record or import one.")
@@ -55,19 +49,9 @@ def new_path(name: str) -> Path:
 
 
 def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> FacemimeTake:
-    """Add a take to the list and select it.
+    """Add a take to the list and select it; by default its contents are read from the file.
 
-    Parameters
-    ----------
-    path : Path
-        File of the take.
-    take : Take, optional
-        Its contents; by default they are read from the file.
-
-    Raises
-    ------
-    SourceError
-        If the file cannot be read, or its name cannot be stored by Blender.
+    Raises SourceError if the file cannot be read, or its name cannot be stored by Blender.
     """
     _require_listable(path)
     take = load_take(path) if take is None else take
@@ -97,13 +81,7 @@ def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
 
 
 def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
-    """Like `keep`, but add the take below the selected one.
-
-    Parameters
-    ----------
-    name : str
-        Name of the new line.
-    """
+    """Like `keep`, but add the take below the selected one."""
     takes = scene.facemime_takes
     place = min(takes.index + 1, len(takes.items))
     keep(scene, take, name)
@@ -121,13 +99,7 @@ def change(line: FacemimeTake, take: Take) -> None:
 
 
 def read(line: FacemimeTake) -> Take:
-    """Read the take of `line`.
-
-    Raises
-    ------
-    SourceError
-        If its file is missing or damaged.
-    """
+    """Read the take of `line`; raises SourceError if its file is missing or damaged."""
     if line.packed is not None:
         return _unpacked(line)
     path = located(line.path)
@@ -139,17 +111,8 @@ def read(line: FacemimeTake) -> Take:
 
 
 def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
-    """Return the video that a take was tracked from.
-
-    Parameters
-    ----------
-    scene : bpy.types.Scene
-        Its source is searched in addition to the folder of the take.
-
-    Returns
-    -------
-    Path or None
-        None if the video is not found.
+    """Return the video that a take was tracked from, from the folder of the take or the scene's source; None if
+    missing.
     """
     try:
         source = read(line).info.get("source")

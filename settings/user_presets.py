@@ -24,31 +24,12 @@ def names() -> list[str]:
 
 
 def path_of(name: str) -> Path:
-    """Return the path of the preset `name`, whether it exists or not.
-
-    Raises
-    ------
-    OutputError
-        If the name cannot be a file name.
-    """
+    """Return the path of the preset `name`, whether it exists or not; raises OutputError as `file_name` does."""
     return folder() / file_name(name)
 
 
 def save(settings: FacemimeSettings, path: Path) -> None:
-    """Write `settings` to the file `path`.
-
-    Parameters
-    ----------
-    settings : FacemimeSettings
-        Settings of a scene.
-    path : Path
-        File of the preset.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
-    """
+    """Write the settings of a scene to the file of a preset; raises OutputError if it cannot be written."""
     owners = _owners(settings)
     values = {group: {name: getattr(owners[group], name) for name in names} for group, names in CONTENTS.items()}
     with replacing(path) as temporary:
@@ -56,19 +37,9 @@ def save(settings: FacemimeSettings, path: Path) -> None:
 
 
 def load(settings: FacemimeSettings, path: Path) -> None:
-    """Apply the preset at `path` to `settings`; those that it does not contain are left unchanged.
+    """Apply the preset at `path` to the settings of a scene; those that it does not contain are left unchanged.
 
-    Parameters
-    ----------
-    settings : FacemimeSettings
-        Settings of a scene, which are changed.
-    path : Path
-        File of the preset.
-
-    Raises
-    ------
-    SourceError
-        If the file is missing or not a preset. No setting is changed in that case.
+    Raises SourceError if the file is missing or not a preset. No setting is changed in that case.
     """
     owners = _owners(settings)
     values = read_preset(path)
@@ -80,10 +51,7 @@ def load(settings: FacemimeSettings, path: Path) -> None:
 def remove(name: str) -> None:
     """Remove the preset `name`, if it exists.
 
-    Raises
-    ------
-    OutputError
-        If the name cannot be a file name, or the file cannot be removed.
+    Raises OutputError if the name cannot be a file name, or the file cannot be removed.
     """
     path = path_of(name)
     try:

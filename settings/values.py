@@ -62,13 +62,7 @@ def drive_settings(settings: FacemimeSettings) -> DriveSettings:
 
 
 def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BAKE) -> PuppetSettings:
-    """Return the settings of how a take moves a head and is baked.
-
-    Parameters
-    ----------
-    bake : BakeSettings, optional
-        New shape keys by default.
-    """
+    """Return the settings of how a take moves a head and is baked, by default to new shape keys."""
     return read(
         PuppetSettings,
         settings,
@@ -80,17 +74,9 @@ def puppet_settings(settings: FacemimeSettings, bake: BakeSettings = _DEFAULT_BA
 
 
 def bake_settings(bake: FacemimeBake, name: str) -> BakeSettings:
-    """Return the settings of a bake.
+    """Return the settings of a bake of the named take, after which a cache is named.
 
-    Parameters
-    ----------
-    name : str
-        Name of the take, after which a cache is named.
-
-    Raises
-    ------
-    FacemimeError
-        If a row of the key mapping has no shape key.
+    Raises FacemimeError if a row of the key mapping has no shape key.
     """
     table = read_table(bake) if bake.keys in (AUTOMATIC, "mapped") and len(bake.rows) else None
     return read(BakeSettings, bake, table=table, path=project_folder("caches") / bpy.path.clean_name(name))
@@ -146,12 +132,9 @@ FILE_OF = {"VIDEO": "video", "PICTURES": "folder", "TAKE": "take"}
 
 
 def open_source(source: FacemimeSource) -> LiveSource:
-    """Open the source of a live session.
+    """Open the source of a live session. A camera is opened only by its first `read`.
 
-    Raises
-    ------
-    SourceError
-        If nothing is selected, or the file is missing. A camera is opened only by its first `read`.
+    Raises SourceError if nothing is selected, or the file is missing.
     """
     loop, speed = source.loop, source.speed
     if source.kind == "CAMERA":
@@ -206,11 +189,8 @@ def _require_online(device: str) -> None:
 def stream_settings(stream: FacemimeStream) -> StreamSettings:
     """Return where a stream comes from.
 
-    Raises
-    ------
-    SourceError
-        If it may come from another computer, and Blender's online access is turned off; or the pairing is no
-        pairing line.
+    Raises SourceError if it may come from another computer, and Blender's online access is turned off; or the pairing
+    is no pairing line.
     """
     line = preferences().pairing.strip() if stream.protocol == OWN else ""
     pairing = parse_pairing(line) if line else None
@@ -234,13 +214,9 @@ def stream_settings(stream: FacemimeStream) -> StreamSettings:
 def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender | TlsSender | None:
     """Return the sender of a live session; None if nothing is to be sent.
 
-    Raises
-    ------
-    SourceError
-        If the receiver is not known; if it is another computer, and Blender's online access is turned off; or if this
-        computer cannot be listened on for paired ones.
-    OutputError
-        If the certificate for paired computers cannot be written.
+    Raises SourceError if the receiver is not known; if it is another computer, and Blender's online access is turned
+    off; or if this computer cannot be listened on for paired ones. Raises OutputError if the certificate for paired
+    computers cannot be written.
     """
     output = settings.output
     if not output.enabled or output.protocol == VERTICES:
@@ -272,10 +248,7 @@ def open_sender(settings: FacemimeSettings) -> StreamSender | VTubeStudioSender 
 def sends_vertices(output: FacemimeOutput) -> bool:
     """Return whether the moved vertices are sent.
 
-    Raises
-    ------
-    SourceError
-        If they would go to another computer, and Blender's online access is turned off.
+    Raises SourceError if they would go to another computer, and Blender's online access is turned off.
     """
     if not output.enabled or output.protocol != VERTICES:
         return False
@@ -285,17 +258,9 @@ def sends_vertices(output: FacemimeOutput) -> bool:
 
 
 def viewer_settings(viewer: FacemimeViewer, token: str) -> ViewerSettings | None:
-    """Return where the puppet is shown in browsers; None if it is not.
+    """Return where the puppet is shown in browsers, with the secret in the address; None if it is not.
 
-    Parameters
-    ----------
-    token : str
-        The secret in the address.
-
-    Raises
-    ------
-    SourceError
-        If other computers may connect, and Blender's online access is turned off.
+    Raises SourceError if other computers may connect, and Blender's online access is turned off.
     """
     if not viewer.enabled:
         return None
@@ -317,22 +282,10 @@ def _chosen(path: str, message: Message) -> Path:
 
 
 def pose_targets(posing: FacemimePosing, head: bpy.types.Object) -> dict[str, PoseTarget]:
-    """Return the objects or bones that follow the pose.
+    """Return the objects or bones that follow the pose: "head", and "eye_left" and "eye_right" if they are set.
 
-    Parameters
-    ----------
-    head : bpy.types.Object
-        Its bones, or the head itself, follow the pose if no pose object is set.
-
-    Returns
-    -------
-    dict
-        "head", and "eye_left" and "eye_right" if they are set.
-
-    Raises
-    ------
-    HeadError
-        If the armature does not have the bone.
+    If no pose object is set, the bones of the head, or the head itself, follow. Raises HeadError if the armature does
+    not have the bone.
     """
     targets = own_targets(head)
     if posing.object is not None:

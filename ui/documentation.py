@@ -75,15 +75,7 @@ def address(page: str) -> str:
 
 
 def draw_link(layout: bpy.types.UILayout, panel: str) -> None:
-    """Draw an icon that opens the documentation of a panel, given the name of its class.
-
-    Parameters
-    ----------
-    layout : bpy.types.UILayout
-        Layout of the header.
-    panel : str
-        Name of the class of the panel.
-    """
+    """Draw an icon that opens the documentation of a panel, given the name of its class."""
     layout.operator("wm.url_open", text="", icon="QUESTION", emboss=False).url = address(PANELS[panel])
 
 

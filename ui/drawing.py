@@ -27,23 +27,7 @@ _PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING
 
 
 def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Triangulate a dot.
-
-    Parameters
-    ----------
-    place : (2,) array
-        Its middle.
-    radius : float
-    colour : tuple of float
-        RGB or RGBA.
-
-    Returns
-    -------
-    corners : (3 T, 2) float32
-        Corners of the triangles.
-    colours : (3 T, 4) float32
-        RGBA colour of each corner.
-    """
+    """Triangulate a dot with its middle at `place` (2,): corners (3 T, 2) of T triangles, and their RGBA (3 T, 4)."""
     circle = place + radius * _CIRCLE
     fan = np.stack([np.broadcast_to(circle[:1], circle.shape), circle, np.roll(circle, -1, axis=0)], axis=1)
     rgba = np.array((*colour, 1.0)[:4], dtype=np.float32)
@@ -57,13 +41,7 @@ def draw_triangles(triangles: list[tuple[NDArray[Any], NDArray[Any]]]) -> None:
 
 
 def draw_lines(ends: NDArray[np.float64], colour: tuple[float, float, float, float]) -> None:
-    """Draw lines.
-
-    Parameters
-    ----------
-    ends : (N, 2, 2) array
-        Two ends of each line.
-    """
+    """Draw lines between N pairs of ends (N, 2, 2)."""
     places = ends.reshape(-1, 2).astype(np.float32)
     _draw("LINES", places, np.tile(np.array(colour, dtype=np.float32), (len(places), 1)))
 
@@ -86,13 +64,7 @@ def draw_text(
     colour: tuple[float, float, float, float] = WHITE,
     centred: bool = False,
 ) -> None:
-    """Draw a line of text with a shadow.
-
-    Parameters
-    ----------
-    place : (float, float)
-        Its left or, if `centred`, its middle; and its baseline.
-    """
+    """Draw a line of text with a shadow; its baseline, and its left or, if `centred`, its middle are at `place`."""
     blf.size(_FONT, size)
     left = place[0] - (blf.dimensions(_FONT, text)[0] / 2 if centred else 0.0)
     blf.color(_FONT, *colour)
@@ -116,14 +88,9 @@ def draw_plate(text: str, place: tuple[float, float], size: float) -> None:
 
 
 def draw_wrapped(text: str, place: tuple[float, float], size: float, width: float) -> None:
-    """Draw text with a shadow, centred, in as many lines as it needs.
+    """Draw text with a shadow, centred, in as many lines, up to `width` pixels wide, as it needs.
 
-    Parameters
-    ----------
-    place : (float, float)
-        The middle and the baseline of the first line.
-    size, width : float
-        Size of the font, and maximum width of a line, pixels.
+    The middle and the baseline of the first line are at `place`.
     """
     blf.size(_FONT, size)
     for number, line in enumerate(wrap(text, width)):
@@ -131,17 +98,9 @@ def draw_wrapped(text: str, place: tuple[float, float], size: float, width: floa
 
 
 def wrap(text: str, width: float) -> list[str]:
-    """Wrap `text` at spaces, and between characters of Chinese.
+    """Wrap `text` at spaces, and between characters of Chinese, to lines of a width in pixels.
 
-    Parameters
-    ----------
-    width : float
-        Width of a line, pixels, at the font size that was set with `blf`.
-
-    Returns
-    -------
-    list of str
-        The lines; a word that is wider has a line of its own.
+    The font size is the one that was set with `blf`. A word that is wider has a line of its own.
     """
     lines: list[str] = []
     for piece in _PIECE.findall(" ".join(text.split())):

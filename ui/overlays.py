@@ -84,24 +84,9 @@ def shown_regions(context: bpy.types.Context) -> bpy.types.Object | None:
 
 
 def coloured_triangles(obj: bpy.types.Object, opacity: float) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Return the triangles of an evaluated head that lie in any region, and the colours of its vertices.
+    """Return the triangles (T, 3) of an evaluated head that lie in any region, and the colours (V, 4) of its vertices.
 
-    Parameters
-    ----------
-    obj : bpy.types.Object
-        Evaluated head with V vertices.
-    opacity : float
-        Alpha of the colours at full weight.
-
-    Returns
-    -------
-    triangles : (T, 3) int32
-    colours : (V, 4) float32
-
-    Raises
-    ------
-    HeadError
-        If it has no regions.
+    The opacity is reached at full weight. Raises HeadError if the head has no regions.
     """
     mesh = mesh_of(obj)
     mesh.calc_loop_triangles()
@@ -205,25 +190,10 @@ def _draw_landmarks() -> None:
 def dots(
     rows: list[PointRow], pixels: NDArray[np.float64], facing: NDArray[np.bool_], selected: int, scale: float
 ) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Triangulate a dot with a dark rim for each landmark that faces the viewer.
+    """Triangulate a dot with a dark rim for each landmark that faces the viewer, as `drawing.dot` does.
 
-    Parameters
-    ----------
-    rows : list of PointRow
-        One per landmark.
-    pixels : (66, 2) array
-        Positions in the region, pixels.
-    facing : (66,) array of bool
-        Whether the skin at a landmark faces the viewer.
-    selected : int
-        The landmark to highlight; -1 for none.
-    scale : float
-        Resolution scale of the interface.
-
-    Returns
-    -------
-    list of (corners, colours)
-        See `drawing.dot`.
+    There is a row per landmark, and a place in pixels of the region (66, 2). The selected one, unless it is -1, is
+    highlighted. `scale` is the resolution scale of the interface.
     """
     drawn = []
     for row in rows:
@@ -240,16 +210,7 @@ def dots(
 def _rimmed(
     place: NDArray[np.float64], radius: float, colour: tuple[float, float, float], scale: float
 ) -> list[tuple[NDArray[Any], NDArray[Any]]]:
-    """Triangulate a dot with a dark rim.
-
-    Parameters
-    ----------
-    place : (2,) array
-    colour : (float, float, float)
-        RGB.
-    scale : float
-        Resolution scale of the interface.
-    """
+    """Triangulate a dot with a dark rim, at the resolution scale of the interface."""
     return [dot(place, radius + _RIM * scale, _RIM_COLOUR), dot(place, radius, colour)]
 
 

@@ -82,13 +82,7 @@ class List(ListMixin):
 
 
 def labels(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: Icon = "NONE") -> None:
-    """Draw `text`, translated and wrapped to the width of the sidebar.
-
-    Parameters
-    ----------
-    text : str
-        In English; a message is translated by its template.
-    """
+    """Draw `text`, translated by its template if it is a message, and wrapped to the width of the sidebar."""
     column = layout.column(align=True)
     column.scale_y = 0.9
     for line in wrap(translated(text, interface), _text_width(context)):
@@ -133,18 +127,8 @@ def draw_list(
 ) -> None:
     """Draw a list with buttons next to it, and a menu below them.
 
-    Parameters
-    ----------
-    kind : str
-        Name of the UIList.
-    fields : (str, str)
-        Its collection, and the index of the selected item.
-    rows : int
-        Minimum number of rows.
-    buttons : dict of str to str
-        Icon of each operator.
-    menu : str
-        Its name; "" for none.
+    `kind` is the name of the UIList, and `fields` are its collection, and the index of the selected item. There are at
+    least `rows` rows. Buttons are an icon for each operator; `menu` is "" for none.
     """
     row = layout.row()
     row.template_list(kind, "", owner, fields[0], owner, fields[1], rows=rows)
