@@ -135,7 +135,7 @@ def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
 
 
 def read_places(obj: bpy.types.Object) -> NDArray[np.intp]:
-    """Return the vertices (66,) at the landmarks, or near where they would lie if shape keys drive the head."""
+    """Do what `read_landmarks` does, or return vertices (66,) near where they would lie if keys drive the head."""
     return _stored_landmarks(obj, KEYS_PROPERTY if driven_by_keys(obj) else LANDMARKS_PROPERTY)
 
 

@@ -108,7 +108,7 @@ def name_them(silenced: Iterable[Silenced]) -> str:
 
 
 def mute_paths(owner: bpy.types.ID, paths: Collection[str], *, curves: bool = True) -> list[Silenced]:
-    """Mute the curves, unless `curves` is False, and drivers of some data paths for a bake, and return what was muted.
+    """Mute the drivers and, by default, the curves of some data paths for a bake, and return what was muted.
 
     Strips below are not muted, as the bake replaces what they move.
     """

@@ -103,8 +103,7 @@ def select_alone(context: bpy.types.Context, obj: bpy.types.Object) -> None:
 
 
 def free_place(context: bpy.types.Context, obj: bpy.types.Object, place: Vector) -> Vector:
-    """Return where an object at the origin of the scene intersects no other: `place`, or otherwise beside what is
-    there.
+    """Return where an object at the origin of the scene intersects no other: at `place`, or beside what is there.
 
     Of the sides, the first that the scene's camera sees is taken: right, left, in front, behind; otherwise the right.
     """

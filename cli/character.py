@@ -198,8 +198,8 @@ def bind(
 ) -> BoundCharacter:
     """Open or import a character and bind it, and make a set of shape keys if one is given.
 
-    Joined lips and eyes are cut open first if `cut_open`. The takes refine the keys; marks are points of the face, by
-    iBUG number. Raises FacemimeError if the file cannot be read, has no such object, or no face is found.
+    Joined lips and eyes are cut open first if `cut_open` is set. The takes refine the keys; marks are points of the
+    face, by iBUG number. Raises FacemimeError if the file cannot be read, has no such object, or no face is found.
     """
     with read_from(character.path):
         open_file(character.path)

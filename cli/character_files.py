@@ -114,7 +114,10 @@ def object_named(path: Path, name: str) -> bpy.types.Object:
 
 
 def open_file(path: Path) -> None:
-    """Open a .blend file, or import a file of another program into an empty one; raises SourceError if it cannot."""
+    """Open a .blend file, or import a file of another program into an empty one.
+
+    Raises SourceError if it cannot be read.
+    """
     suffix = path.suffix.lower()
     if suffix == ".blend":
         open_blend(path)

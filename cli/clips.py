@@ -159,7 +159,7 @@ def _no_list(path: Path) -> SourceError:
 
 
 class Namer:
-    """Names clips by their file name and a checksum of everything that decides the result, such as the job."""
+    """Names the clips of a job by their file name and a checksum of everything that decides the result."""
 
     def __init__(self, job: PuppetJob) -> None:
         files = {"head": None if job.head is None else job.head.path, "points": job.points, "map": job.map}

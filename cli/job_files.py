@@ -24,7 +24,7 @@ INTERRUPTED_NAME = ".interrupted"
 
 
 def load_with_warnings(path: Path) -> Take:
-    """Load a take, and report on the standard error what is missing from its file; raises SourceError if unreadable."""
+    """Load a take; what is missing is reported on the standard error. Raises SourceError if it cannot be read."""
     check_readable(path)
     take = load_take(path)
     _tell_what_is_missing(path, take)
@@ -102,8 +102,7 @@ def track(
 
 
 def track_everybody(video: Path, unfinished: Path, settings: TrackingSettings, rate: float) -> list[tuple[Path, Take]]:
-    """Track everybody in `video`, or in a folder of pictures at `rate` frames per second, and write their takes
-    meanwhile.
+    """Track everybody in `video`, or in a folder of pictures at `rate` frames per second, and write takes meanwhile.
 
     The files that grow have numbered names like `unfinished`. Returns them with the takes; those of people who were
     hardly seen are deleted. Raises SourceError if the video cannot be read, or no face was found in it.

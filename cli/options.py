@@ -197,7 +197,7 @@ def add_preset_option(parser: argparse.ArgumentParser) -> None:
 
 
 def parse(parser: argparse.ArgumentParser, line: Sequence[str] | None) -> Options:
-    """Parse a command line, in a second pass with the defaults of its preset, which may raise SourceError."""
+    """Parse a command line, then again with the defaults of its preset; raises SourceError if that is unreadable."""
     options = vars(parser.parse_args(line))
     return options if options.get("preset") is None else vars(parser.parse_args(line))
 

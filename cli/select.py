@@ -68,7 +68,7 @@ def _run_select(given: Options) -> int:
 
 
 def _rig_of(head: HeadFile) -> HeadRig:
-    """Return the rig of a head in a file; raises FacemimeError without Blender, or a head or a face in the file."""
+    """Return the rig of a head in a file; raises FacemimeError if Blender is missing, or the file has no face."""
     with importing_blender("select --head", "select ..."):
         from ..blender.rigs import read_rig
         from .character_files import open_head

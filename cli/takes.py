@@ -215,7 +215,9 @@ def _sampled(animation: HeadFile, clip: str) -> Take:
 
 
 def parse_span(text: str) -> Span:
-    """Parse a span `A:B` in seconds, either end of which may be omitted; raises FacemimeError if it is empty or none.
+    """Parse a span `A:B` in seconds, either end of which may be omitted.
+
+    Raises FacemimeError if it is not a span, or is empty.
     """
     first, colon, last = text.partition(":")
     try:

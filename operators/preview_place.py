@@ -26,9 +26,10 @@ class Box(NamedTuple):
 
 
 def preview_box(area: bpy.types.Area, region: bpy.types.Region, picture: tuple[int, int]) -> Box:
-    """Return where the preview, of a height and width, is drawn: where the user placed it, or in the lower left corner.
+    """Return where the preview is drawn: where the user placed it, or in the lower left corner.
 
-    It is always in view, clear of what covers the viewport, and at most a quarter of the rest. The size is in pixels.
+    It is always in view, clear of what covers the viewport, and at most a quarter of the rest. `picture` is the height
+    and width of the picture in pixels.
     """
     user, scale = preferences(), bpy.context.preferences.system.ui_scale
     free, aspect = free_box(area, region), picture[0] / picture[1]

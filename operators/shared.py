@@ -69,8 +69,9 @@ class ReportsErrors(OperatorMixin):
     def reporting(
         self, work: Callable[[bpy.types.Context], OperatorResult | None], context: bpy.types.Context
     ) -> OperatorResult:
-        """Return the result of `work(context)`, or CANCELLED if it raised an error, which is reported; None means
-        FINISHED.
+        """Return the result of `work(context)`, or report the error that it raises and return CANCELLED.
+
+        A result of None stands for FINISHED.
         """
         try:
             return work(context) or {"FINISHED"}

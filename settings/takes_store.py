@@ -111,8 +111,9 @@ def read(line: FacemimeTake) -> Take:
 
 
 def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
-    """Return the video that a take was tracked from, from the folder of the take or the scene's source; None if
-    missing.
+    """Return the video that a take was tracked from, or None.
+
+    It is looked for in the folder of the take, and as the source of the scene.
     """
     try:
         source = read(line).info.get("source")

@@ -192,7 +192,7 @@ def dots(
 ) -> list[tuple[NDArray[Any], NDArray[Any]]]:
     """Triangulate a dot with a dark rim for each landmark that faces the viewer, as `drawing.dot` does.
 
-    There is a row per landmark, and a place in pixels of the region (66, 2). The selected one, unless it is -1, is
+    There is a row per landmark, whose `pixels` (66, 2) are those of the region. The selected one, unless it is -1, is
     highlighted. `scale` is the resolution scale of the interface.
     """
     drawn = []

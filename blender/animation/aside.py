@@ -33,7 +33,7 @@ Item = list[Any]
 
 
 def set_aside(owner: bpy.types.ID, items: Iterable[Item]) -> None:
-    """Mute or disable items, as the other functions here return them, of a data-block, and list those that were not.
+    """Mute or disable items of a data-block, from the other functions here, and list those that were not.
 
     Does nothing to a linked data-block.
     """
@@ -91,9 +91,9 @@ def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
 
 
 def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> dict[tuple[str, int], float]:
-    """Return the values, by data path and array index, that the user's animation that is set aside would give channels.
+    """Return what the user's animation that is set aside would give some channels in a frame.
 
-    Strips count at full influence, and add or replace. Drivers do not count.
+    Values are by data path and array index. Strips count at full influence, and add or replace. Drivers do not count.
     """
     values: dict[tuple[str, int], float] = {}
     starts, own, listed = tuple(prefixes), owned_paths(owner.animation_data), _listed(owner)

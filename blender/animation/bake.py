@@ -265,6 +265,6 @@ def has_tongue(part: bpy.types.Object) -> bool:
 
 
 def show_tongue(part: bpy.types.Object, amount: float) -> None:
-    """Stick out a tongue by 0 to 1; parts of a head other than a tongue are not changed."""
+    """Stick a tongue out by a share from 0 to 1; other parts of a head are not changed."""
     if has_tongue(part):
         keys_of(part).key_blocks[TONGUE_KEY].value = amount

@@ -29,11 +29,11 @@ AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
 
 
 def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -> LiveKeys | None:
-    """Return the shape keys that drive a head live, mapped by `table` or the preset that fits best; None for its skin.
+    """Return the shape keys that drive a head live, or None if its skin is driven.
 
     The choice is "AUTOMATIC", "SKIN" or "KEYS". "AUTOMATIC" takes the keys of a character that has a known set of them;
-    the built-in head's skin shows more. Raises HeadError if keys were requested but the head has none, or no mapping
-    matches them.
+    the built-in head's skin shows more. Without a key mapping, the preset that fits best is used. Raises HeadError if
+    keys were requested but the head has none, or no mapping matches them.
     """
     if driven_by_keys(obj) and choice == SKIN:
         raise HeadError(

@@ -57,10 +57,10 @@ class LiveMesh:
         return not exists(self.obj)
 
     def attach(self, values: LiveValues | None = None) -> None:
-        """Add the live shape key, or take over the values of the mesh's own keys; mute what an earlier bake plays.
+        """Add the live shape key, or take over the values of the mesh's own keys.
 
-        That is its keys and its cache. Raises HeadError if the mesh was replaced or changed so that it can no longer be
-        driven.
+        The keys and the cache of an earlier bake are muted. Raises HeadError if the mesh was replaced or changed so
+        that it can no longer be driven.
         """
         self.require_same()
         self._values = values

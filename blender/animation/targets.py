@@ -70,7 +70,7 @@ _STILL = Placement()
 
 @dataclass(frozen=True)
 class PoseTarget:
-    """An object, or a bone of an armature, unless its name is "".
+    """An object, or the bone of an armature that `bone` names; "" for the object itself.
 
     Attributes
     ----------

@@ -48,7 +48,7 @@ class Unfinished:
 
 
 def attach(head: bpy.types.Object, parts: Mapping[str, bpy.types.Object]) -> None:
-    """Attach parts, children of a head by a key of `names.PART_OBJECTS`, to it."""
+    """Attach to a head its parts, which are children of it, by a key of `names.PART_OBJECTS`."""
     head[PARTS_PROPERTY] = dict(parts)
     for part in parts.values():
         _follow(part, head)

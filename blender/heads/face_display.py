@@ -14,13 +14,12 @@ from .family import armature_of
 
 
 class FaceDisplay:
-    """What is changed in the viewports of all windows until `close`; if `bones` is set, these and their shapes are
-    hidden.
+    """What is changed in the viewports of all windows until `close`.
 
-    Importers draw bones as spheres, and large rigs put handles in front of the face. Solid viewports that colour
-    objects by their materials show the textures, which such a viewport otherwise leaves out. Viewports are found again
-    by their addresses: Python's reference to one becomes invalid when the user closes it. What was changed is reverted
-    while a file is saved.
+    If `bones` is set, bones are hidden, with the objects that are their shapes: importers draw bones as spheres, and
+    large rigs put handles in front of the face. Solid viewports that colour objects by their materials show the
+    textures, which such a viewport otherwise leaves out. Viewports are found again by their addresses: Python's
+    reference to one becomes invalid when the user closes it. What was changed is reverted while a file is saved.
     """
 
     open: ClassVar[list[FaceDisplay]] = []

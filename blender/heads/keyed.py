@@ -107,8 +107,8 @@ def _look(obj: bpy.types.Object, bone: str) -> bool:
 def add_expressions(gltf: Mapping[str, Any], objects: Iterable[bpy.types.Object]) -> int:
     """Add a shape key for each expression of a VRM avatar, unless its meshes have a complete known set already.
 
-    From the JSON of the file and what Blender has imported from it; returns the number of expressions that were added.
-    Raises ValueError if the file is damaged.
+    `gltf` is the JSON of the file, and `objects` are what Blender has imported from it. Returns the number of
+    expressions that were added. Raises ValueError if the file is damaged.
     """
     meshes = {mesh_of(obj): obj for obj in objects if obj.type == "MESH" and mesh_of(obj).shape_keys is not None}
     sets = [found for obj in meshes.values() if (found := known_set(obj)) is not None]

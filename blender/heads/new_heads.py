@@ -127,7 +127,7 @@ _READERS = {".tri": read_tri, ".obj": read_obj}
 
 
 def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIMETRE) -> bpy.types.Object:
-    """Import a head from a `.tri` or `.obj` file as the active object, in which `scale` is the metres per unit.
+    """Import a head from a `.tri` or `.obj` file as the active object; `scale` is metres per unit of the file.
 
     The modes of an `.egm` file next to it are imported as well. Raises SourceError if a file is damaged or not a
     FaceGen head.

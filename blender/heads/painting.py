@@ -58,7 +58,7 @@ def mirror_painted(obj: bpy.types.Object, source: Side) -> None:
 
 
 def smooth_painted(obj: bpy.types.Object, repeat: int) -> None:
-    """Smooth the borders of the regions `repeat` times, except at landmarks; raises HeadError if any are missing."""
+    """Smooth the regions' borders `repeat` times, except at landmarks; raises HeadError if regions are missing."""
     mesh = mesh_of(obj)
     vertices, landmarks, painted = read_vertices(mesh), read_landmarks(obj), read_regions(obj)
     smooth = smooth_regions(vertices, read_faces(mesh), painted, repeat)

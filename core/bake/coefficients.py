@@ -198,7 +198,9 @@ class CoefficientSolver:
         return self._finished(self._fit(values, self._single, 2, near), values)
 
     def fitted_take(self, observed: FloatArray) -> FloatArray:
-        """Fit the coefficients of a take as `fitted_frames` does, without the error of the neutral face (equation 9.5).
+        """Fit the coefficients of a take as `fitted_frames` does, but without the error of its neutral face.
+
+        Alternates between the coefficients of some frames and the error (equation 9.5).
         """
         values = observed[:, self._known]
         # Equation 9.5 in turns. The mean of n independent frames knows the error e of the neutral face with precision n

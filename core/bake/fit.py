@@ -137,10 +137,10 @@ def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode:
 
 
 def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
-    """Select the keyframes that a polyline needs to stay within a tolerance, in the unit of the values, of all of them.
+    """Select the keyframes that a polyline needs to stay within a tolerance of all keyframes: ascending indices.
 
-    The algorithm of Douglas & Peucker 1973, without recursion; it returns ascending indices. Errors are differences in
-    value at the same time; they are bounded at the keyframes, and therefore everywhere, as the curve between them is
+    The algorithm of Douglas & Peucker 1973, without recursion. Errors are differences in value at the same time, in the
+    unit of the values; they are bounded at the keyframes, and therefore everywhere, as the curve between them is
     straight. A tolerance of 0 keeps every keyframe that is off the line.
     """
     count = len(values)
@@ -257,9 +257,9 @@ def _exclude(
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:
-    """Return the largest and the root mean square distance of vertices from a motion, with weights (N, K) of `keys`.
+    """Return the largest and the root mean square distance of vertices from a motion, for a mix of shape keys.
 
-    The arrays are as for `fit_keys`.
+    The weights are (N, K); the other arrays are as for `fit_keys`.
     """
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     worst, total = 0.0, 0.0

@@ -17,7 +17,7 @@ _HEADER = struct.Struct("<12siiffi")
 
 
 def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, start: float = 0.0) -> int:
-    """Write samples (V, 3), one per frame from frame `start`, as a point cache, and return their number.
+    """Write samples of V vertices (V, 3), one per frame from frame `start`, as a point cache; return their number.
 
     An existing file is replaced only by a complete one. Raises OutputError if the file cannot be written.
     """

@@ -65,7 +65,7 @@ def point_rows(selection: GreedySelection | None) -> list[PointRow]:
 
 
 def add_by_hand(selection: GreedySelection, landmark: int) -> GreedySelection:
-    """Make a landmark, a position in the 66, a control point of all its regions; raises HeadError if it is one."""
+    """Make a landmark, a position in the 66, a control point of all its regions; raises HeadError if it already is."""
     if selection.membership[:, landmark].any():
         raise HeadError(
             "Landmark {landmark} is already a control point. Choose another one.", landmark=IBUG68_INDICES[landmark]

@@ -134,8 +134,9 @@ PICTURE_RATE = 25.0
 class PictureSource(Closing):
     """The pictures in a folder as the frames of a video, in the order of their names; 2.png comes before 10.png.
 
-    Pictures that cannot be read are skipped. The attributes are those of `VideoSource`. Raises SourceError if the rate
-    is impossible, or the folder is missing or has no pictures; while reading, if no picture can be read.
+    Pictures that cannot be read are skipped. `fps` is the rate, and `frame_count` the number of pictures. Raises
+    SourceError if the rate is impossible, or the folder is missing or has no pictures; while reading, if no picture can
+    be read.
     """
 
     def __init__(self, folder: Path, rate: float = PICTURE_RATE) -> None:

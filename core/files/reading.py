@@ -39,7 +39,7 @@ def read_text(path: Path) -> str:
 
 
 def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
-    """Parse JSON, in which numbers may be NaN if `nan`, which JSON does not have but Python writes.
+    """Parse JSON; if `nan` is set, numbers may be NaN, which JSON does not have but Python writes.
 
     Raises ValueError if it is not JSON, is nested too deeply, or contains a number that is too large or infinite.
     """
@@ -54,7 +54,7 @@ def parse_json(text: str | bytes, *, nan: bool = False) -> Any:
 
 
 def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str, Any]:
-    """Parse a JSON object whose member "format" is `form`, as `parse_json` does; raises ValueError if it is not."""
+    """Parse a JSON object whose member "format" is `form`, as `parse_json` does; raises ValueError otherwise."""
     data = as_object(parse_json(text, nan=nan), "the text")
     if data.get("format") != form:
         raise DataError("its format is different")
@@ -62,7 +62,7 @@ def parse_format(text: str | bytes, form: str, *, nan: bool = False) -> dict[str
 
 
 def as_number(value: Any, name: str, low: float, high: float) -> float:
-    """Return `value` if it is a number from `low` to `high`, ends included; raises ValueError, with `name`, if not."""
+    """Return `value` if it is a number from `low` to `high`; raises ValueError, with `name`, if not."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value <= high:
         raise DataError(
             "{name} is {value}, not a number from {low:g} to {high:g}",
@@ -75,9 +75,7 @@ def as_number(value: Any, name: str, low: float, high: float) -> float:
 
 
 def as_integer(value: Any, name: str, low: int, high: int) -> int:
-    """Return `value` if it is an integer from `low` to `high`, ends included; raises ValueError, with `name`,
-    otherwise.
-    """
+    """Return `value` if it is a whole number from `low` to `high`; raises ValueError, with `name`, if not."""
     if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
         raise DataError(
             "{name} is {value}, not a whole number from {low} to {high}",

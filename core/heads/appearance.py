@@ -62,7 +62,7 @@ class Patch:
     uv: NDArray[np.float32] | None = None
 
     def triangles(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Divide the faces into T triangles of the same winding: vertices (3 T,) and uv (3 T, 2), 0 without any."""
+        """Divide the faces into T triangles of the same winding: vertices (3 T,), and uv (3 T, 2), 0 if unknown."""
         faces = np.asarray(self.faces)
         uv = np.zeros((*faces.shape, 2)) if self.uv is None else np.asarray(self.uv)
         rows, places = [np.empty(0, dtype=np.int64)], [np.empty((0, 2))]

@@ -49,7 +49,7 @@ _MAX_OVERHANG = 0.35
 
 @dataclass(frozen=True)
 class Finding:
-    """A problem of a head and its remedy, a sentence each, and the step that remedies it; "" if there is none."""
+    """A problem of a head and its remedy, a sentence each, and the name of the step that remedies it, or ""."""
 
     problem: Message
     remedy: Message
@@ -57,7 +57,7 @@ class Finding:
 
 
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
-    """Check the arrays of a `HeadRig` for problems that would keep it from being driven well; empty if it is ready."""
+    """Return what would keep a head, with arrays as in `HeadRig`, from being driven well; nothing if it is ready."""
     findings = []
     unique, counts = np.unique(landmarks, return_counts=True)
     if (counts > 1).any():

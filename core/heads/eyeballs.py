@@ -159,10 +159,10 @@ def part_eyeball(points: FloatArray) -> tuple[FloatArray, bool]:
 
 
 def sphere_of_lids(points: FloatArray) -> FloatArray | None:
-    """Return the centre and radius (4,) of the sphere over which the lids of a separate eye slide; None if not round.
+    """Return the centre and radius (4,) of the sphere over which the lids of a separate eye slide.
 
     The points are as in `part_eyeball`. The sphere takes in the apex of the cornea, which would otherwise show through
-    a closed lid.
+    a closed lid. It is None for an eye that is not round.
     """
     sphere, is_round = part_eyeball(points)
     if not is_round:

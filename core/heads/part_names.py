@@ -171,10 +171,11 @@ class FaceBones:
 
 
 def find_bones(names: Sequence[str], weights: Mapping[str, float]) -> FaceBones:
-    """Find the bones of head, eyes and jaw by name, or the head by the share of the face's skin that each bone moves.
+    """Find the bones of head, eyes and jaw by their names.
 
     Names are split into words. Case, side and the prefixes of Mixamo, VRM, 3ds Max, Rigify, Auto-Rig and MetaHuman are
-    ignored. Of several candidates, the one with the fewest other words in its name is taken.
+    ignored. Of several candidates, the one with the fewest other words in its name is taken. If no name is of a head,
+    `weights` decide: the share of the skin of the face that each bone moves.
     """
     head = _best(names, _HEADS, set()) or max(weights, key=lambda name: weights[name], default="")
     return FaceBones(

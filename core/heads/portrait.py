@@ -138,10 +138,10 @@ class Sitter:
     def portrait(
         self, centre: FloatArray | None = None, reach: float = 0.0, turn: FloatArray | None = None
     ) -> Portrait:
-        """Draw the mesh after a rotation by `turn` (3, 3), by default all of it.
+        """Draw the mesh, which may be rotated by `turn` (3, 3) before.
 
         `centre` (2,) is the middle of the portrait, in x and y of the rotated mesh, and `reach` the distance from there
-        to the sides, in the unit of the mesh.
+        to the sides, in the unit of the mesh; by default the portrait shows the whole mesh.
         """
         places, normals = (values if turn is None else values @ turn.T for values in (self.places, self._normals))
         if centre is None:

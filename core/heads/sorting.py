@@ -103,7 +103,7 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
 def lower_row(vertices: FloatArray, faces: IntArray, points: FloatArray) -> NDArray[np.bool_]:
     """Find the vertices that move with the lower teeth in a piece with both rows, such as gums joined to the tongue.
 
-    They are nearer along the surface to the lowest vertices than to the highest. A tongue lies above the edge of the
+    To these, the lowest vertices are nearer along the surface than the highest. A tongue lies above the edge of the
     lower teeth, but grows from below. Vertices (N, 3) and landmarks `points` (66, 3) are in the head frame.
     """
     height = np.asarray(vertices)[:, 1]

@@ -42,7 +42,7 @@ class Kernel:
     spacing: float
 
     def width(self, between: FloatArray, factor: float) -> float:
-        """Choose sigma, in the unit of the distances (P, P) between control points, and the factor of the region.
+        """Choose sigma from the distances (P, P) between control points, in their unit, and `Region.spacing_factor`.
 
         The spacing is the median distance to the third nearest neighbour. The distance to the nearest would be
         dominated by pairs on opposite lips.

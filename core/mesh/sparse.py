@@ -40,7 +40,7 @@ class SymmetricSystem:
         return np.asarray(self._factor.solve(np.asarray(right, dtype=self._dtype)))
 
     def sandwich(self, seeds: IntArray, masses: FloatArray) -> FloatArray:
-        """Return the columns `seeds` (K,) of ``A^-1 M A^-1``, whose diagonal M is `masses`; 0 where a seed is -1."""
+        """Return the columns `seeds` (K,) of ``A^-1 M A^-1`` with a diagonal M, `masses`; zeros for seeds of -1."""
         columns = np.zeros((len(masses), len(seeds)))
         given = np.flatnonzero(seeds >= 0)
         columns[seeds[given], given] = 1.0

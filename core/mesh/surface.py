@@ -132,7 +132,7 @@ class SurfaceGraph:
         return found
 
     def path_lengths(self, seeds: Iterable[int], limit: float = np.inf) -> FloatArray:
-        """Compute the length (V,) of the shortest path along edges to any seed; infinite beyond `limit`."""
+        """Compute the length (V,) of the shortest path from each vertex to any seed; infinite beyond `limit`."""
         return self._search(seeds, limit)[0]
 
     def nearest_seeds(self, seeds: Iterable[int]) -> NDArray[np.intp]:

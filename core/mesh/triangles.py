@@ -22,10 +22,10 @@ _INSIDE = 1e-9
 def crossing_pairs(
     vertices: FloatArray, triangles: IntArray, moved: NDArray[np.bool_] | None = None
 ) -> NDArray[np.intp]:
-    """Find the pairs of triangles (P, 2) that pass through each other, of which one is `moved` (T,); by default any.
+    """Find the pairs of triangles (P, 2) that pass through each other.
 
     They have no common vertex, and an edge of one goes through the other (Moeller & Trumbore 1997). Triangles that lie
-    in one plane, or only touch, do not count.
+    in one plane, or only touch, do not count. At least one triangle of a pair is `moved` (T,); by default all are.
     """
     triangles = np.asarray(triangles, dtype=np.intp)
     corners = np.asarray(vertices, dtype=np.float64)[triangles]

@@ -55,7 +55,7 @@ def __getattr__(name: str) -> Any:
 
 
 def multiply(left: FloatArray, right: FloatArray) -> NDArray[Any]:
-    """Multiply matrices, or a matrix and a vector; in single precision if that of one of them is.
+    """Multiply matrices, or a matrix and a vector, in single precision if either is, otherwise in double.
 
     scipy keeps Python's lock during a product, unlike numpy and OpenCV. What is computed in a thread while Blender's
     window is in use should consist of products that take milliseconds.

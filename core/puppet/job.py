@@ -18,7 +18,7 @@ CHARACTER_SUFFIXES = (
 
 @dataclass(frozen=True)
 class HeadFile:
-    """The head `name` in a .blend file, or one of another program; "" for the only object with landmarks."""
+    """The head called `name` in a .blend file or one of another program; "" for the only object with landmarks."""
 
     path: Path
     name: str = ""

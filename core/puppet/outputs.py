@@ -214,7 +214,7 @@ class Output(Protocol):
 
 @runtime_checkable
 class DrivenOutput(Output, Protocol):
-    """Interface of an output that depends on how a frame moves a head; its options may be assigned at any time."""
+    """Interface of an output whose content depends on how heads move; `options` may be assigned at any time."""
 
     options: DriveSettings
 
@@ -223,4 +223,4 @@ class Display(Protocol):
     """Interface of a display of the driven heads elsewhere, such as a viewer. It must neither wait nor raise."""
 
     def show(self, taken: float, drivers: Sequence[HeadDriver | KeyDriver], frames: Sequence[HeadFrame]) -> None:
-        """Show frames of heads, none if there is no face, which arrived when `time.perf_counter()` was `taken`."""
+        """Show a frame of each head, or none if there is no face; `taken` is `time.perf_counter()` at arrival."""

@@ -134,7 +134,7 @@ class NeutralCalibration:
 
 
 class RangeCalibration:
-    """Extends a neutral face by results of the seconds in which the performer shuts the eyes and opens the mouth wide.
+    """Extends a neutral face by what is seen while the performer shuts the eyes and opens the mouth wide.
 
     It lasts `duration` seconds from the first result.
     """

@@ -65,7 +65,7 @@ class Incoming:
 
 
 def incoming(sender: str, rate: float, face: FaceValues | TrackResult | None) -> Incoming:
-    """Return what a sender, named by address and name, sends: its newest frame, or None for no face, as numbers."""
+    """Return the newest frame of a sender as numbers for a table; `face` is None if the sender sees none."""
     rotation, coefficients = np.zeros(3), np.full(N_COEFFICIENTS, np.nan)
     if isinstance(face, TrackResult) and face.found:
         rotation, coefficients = face.pose[1:4], face.coefficients
@@ -189,7 +189,7 @@ class Diagnosis:
 
 
 def recognise(data: bytes, settings: StreamSettings) -> str | None:
-    """Return which of `PROTOCOLS` a packet follows other than the one that is set; None if none."""
+    """Return the name in `PROTOCOLS` of a packet's protocol, if it is another one than is set; otherwise None."""
     mine = PROTOCOLS[settings.protocol]
     if data.startswith(MAGIC) and not mine.motion_port:
         return next(name for name, protocol in PROTOCOLS.items() if protocol.motion_port)

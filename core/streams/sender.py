@@ -240,12 +240,12 @@ def _send_connected(sender: socket.socket, packet: bytes, address: Address) -> N
 
 
 def turned_from(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """Compute the pitch, yaw and roll (3,) of a head with a face in radians from those of a neutral face."""
+    """Compute the rotation of a tracked head from the neutral one: pitch, yaw and roll (3,) in radians."""
     return np.array(matrix_to_euler(euler_to_matrix(*result.pose[1:4]) @ neutral.rotation.T))
 
 
 def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
-    """Compute the directions of the eyes relative to a neutral face's; None if the gaze is unknown.
+    """Compute the directions of the eyes relative to those of a neutral face; None if the gaze is unknown.
 
     These are the `(pitch, yaw)` of the right and the left eye in radians, (2, 2).
     """
@@ -258,9 +258,9 @@ def eyes_from(result: TrackResult, neutral: Neutral) -> FloatArray | None:
 
 
 def moved_from(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """Compute the translation (3,) of a head with a face from that of a neutral face, in the axes of the head frame.
+    """Compute the translation (3,) of a tracked head from the neutral one, in metres along the head frame's axes.
 
-    It is in metres, by equation 4.4 for a head of the size of the built-in one.
+    Equation 4.4, for a head of the size of the built-in one.
     """
     scale, x, y = neutral.position
     size = float(result.pose[0])

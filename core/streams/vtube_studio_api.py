@@ -68,7 +68,7 @@ class ApiError(Exception):
 
 
 def request(kind: str, data: dict[str, Any]) -> str:
-    """Encode a request of a kind, such as "InjectParameterDataRequest", as JSON."""
+    """Encode a request of the type `kind`, such as "InjectParameterDataRequest", as JSON."""
     message = {"apiName": "VTubeStudioPublicAPI", "apiVersion": "1.0", "requestID": "Facemime", "messageType": kind}
     return json.dumps({**message, "data": data}, separators=(",", ":"))
 

@@ -108,10 +108,10 @@ def write_coefficient_csv(
 ) -> None:
     """Write a table of coefficients, under Live Link Face's titles with a timecode, or ARKit's names with seconds.
 
-    Of N frames, these are the times in seconds, `values` (N, 52) in the order of `COEFFICIENTS`, `rotations` (N, 3) of
-    the head relative to neutral, as in `TrackResult`, and `eyes` (N, 2, 2), the `(pitch, yaw)` of the right and the
-    left eye relative to neutral in radians, by default 0, for which only Live Link Face has columns. `rate` is that of
-    the timecode in frames per second. Raises OutputError if the file cannot be written.
+    The arrays are times (N,) in seconds; `values` (N, 52) in the order of `COEFFICIENTS`; `rotations` (N, 3) of the
+    head relative to neutral, as in `TrackResult`; and `eyes` (N, 2, 2), the `(pitch, yaw)` of the right and the left
+    eye relative to neutral in radians, by default 0, for which only Live Link Face has columns. `rate` is that of the
+    timecode in frames per second. Raises OutputError if the file cannot be written.
     """
     order = LIVE_LINK_ORDER if live_link else COEFFICIENTS
     places = [COEFFICIENT_INDEX[name] for name in order]

@@ -31,11 +31,12 @@ def coefficient_take(
     found: NDArray[np.bool_] | None = None,
     notes: Sequence[str] = (),
 ) -> Take:
-    """Return coefficients over time as a take, whose ``info["notes"]`` are `notes`, what was assumed.
+    """Return coefficients over time as a take, from a file called `name`.
 
-    For N increasing times in seconds, these are the `values` (N, 52) in the order of `COEFFICIENTS`; the pitch, yaw and
-    roll of the head in radians, as in `TrackResult`; its translations (N, 3) in the head frame, in metres; the `eyes`
-    (2, 2) as for `CoefficientFace.result`; and the frames that have a face, by default all. `name` is that of the file.
+    The arrays are times (N,) in seconds, increasing; `values` (N, 52) in the order of `COEFFICIENTS`; N pitches, yaws
+    and rolls of the head in radians, as in `TrackResult`; its translations (N, 3) in the head frame, in metres; N
+    `eyes` (2, 2) or None, as for `CoefficientFace.result`; and which frames have a face, by default all. The notes, on
+    what was assumed, are in ``info["notes"]``.
     """
     count, face = len(times), coefficient_face()
     rate = 1.0 / float(np.median(np.diff(times))) if count > 1 else _RATE
@@ -82,9 +83,10 @@ class CoefficientTrack:
 
 
 def coefficients_of_keys(curves: Mapping[str, FloatArray]) -> tuple[FloatArray, list[str]]:
-    """Return coefficients (N, 52) and notes on the set to which the keys belong, from the keys' values (N,) by name.
+    """Return the coefficients (N, 52) that the values (N,) of shape keys, by their names, show.
 
-    The notes state the set that was recognised, and what it lacks. Raises ValueError if it is not a known set.
+    The notes that are returned with them state the set of keys that was recognised, and what it lacks. Raises
+    ValueError if the names are not of a known set.
     """
     table = best_preset(list(curves))
     if table is None:

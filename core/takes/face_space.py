@@ -132,9 +132,9 @@ class FaceSpace:
 
 
 def without_similarity(displacements: FloatArray, mean: FloatArray) -> FloatArray:
-    """Remove from displacements (N, 66, 3) what moves, turns or scales the whole face `mean`.
+    """Remove from displacements (N, 66, 3) of the face `mean` what moves, turns or scales it as a whole.
 
-    It is the weighted least-squares fit of a similarity that is linearised about `mean`.
+    That is the weighted least-squares fit of a similarity which is linearised about `mean`.
     """
     whole = np.stack(list(_similarities(mean))).reshape(7, -1)
     flat = displacements.reshape(len(displacements), -1)

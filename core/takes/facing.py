@@ -19,10 +19,11 @@ _MAX_GAZES = 1000
 
 
 def facing(take: Take) -> FloatArray:
-    """Return the rotation (3, 3), only a pitch, that the tracker measures when the performer's head faces the camera.
+    """Return the rotation (3, 3) that the tracker measures when the performer's head faces the camera.
 
-    The pitch of a face depends on its unknown profile, so it may be off by ten degrees. The eyes show it: they are
-    usually straight in the head, so if they are turned against its usual pitch, it is that of a head facing the camera.
+    It has only a pitch. The pitch of a face depends on its unknown profile, so it may be off by ten degrees. The eyes
+    show it: they are usually straight in the head, so if they are turned against its usual pitch, it is that of a head
+    facing the camera.
     """
     apart, _ = _frequent_gaze(take, np.eye(3))
     if np.isnan(apart[0]):
@@ -36,8 +37,8 @@ def usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
     """Return the gaze at which the avatar looks straight ahead, `(pitch, yaw)` in radians; NaN if no gaze is known.
 
     It is that at the camera, unless the performer usually looks too far away from it: then it is the usual one in the
-    head, which people turn to what they look at. `rotation` is that of the performer's head which does not turn the
-    avatar's.
+    head, which people turn to what they look at. `rotation` (3, 3) is the one of the performer's head that does not
+    turn the avatar's.
     """
     apart, at_camera = _frequent_gaze(take, rotation)
     ahead = np.asarray(matrix_to_euler(rotation)[:2])

@@ -124,7 +124,10 @@ class PointTracker:
 
 
 def pose_of(rotation: FloatArray, moved: FloatArray) -> FloatArray:
-    """Find the pose (6,) of a head that was turned and moved, in outer-eye distances; the inverse of equation 4.4."""
+    """Find the pose (6,) of a head that was turned and moved from rest; the inverse of equation 4.4.
+
+    The translation is in the head frame, in outer-eye distances.
+    """
     across, down, away = moved
     scale = _SCALE / max(1.0 + away / CAMERA_DISTANCE, _NEAREST)
     sideways = np.array([across, down]) * np.sqrt(scale * _SCALE)
@@ -172,7 +175,7 @@ def _direction(rotation: FloatArray) -> FloatArray:
 
 
 class CoefficientFace:
-    """Shows coefficients on the built-in head, whose neutral face is `neutral`, that of all results."""
+    """Shows coefficients on the built-in head, whose neutral face, `neutral`, is that of all results."""
 
     def __init__(self) -> None:
         head = load_head()

@@ -75,7 +75,7 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
 
 
 def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) -> Take:
-    """Smooth a take without delay, with one cutoff in Hz per part of the face, by default `CUTOFFS`.
+    """Smooth a take without delay, with one cutoff in Hz per part of the face; `cutoffs` override `CUTOFFS`.
 
     Pose, shape, gaze and actions are smoothed, and landmarks follow. Nothing is smoothed across lost frames, and a part
     whose cutoff is `inf` is unchanged. Raises FacemimeError if a part does not exist, or a cutoff is too low.

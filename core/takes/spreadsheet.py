@@ -49,7 +49,10 @@ _KNOWN = frozenset(name for names in _columns(0).values() for name in names)
 
 
 def to_csv(take: Take, path: Path) -> None:
-    """Write a take as a table with one row per frame, which `from_csv` reads back exactly; raises OutputError."""
+    """Write a take as a table with one row per frame, which `from_csv` reads back exactly.
+
+    Raises OutputError if the file cannot be written.
+    """
     columns = _columns(take.shape_params.shape[1])
     arrays = [getattr(take, name).reshape(len(take), -1) for name in columns]
     shown = np.column_stack([eye_apertures(take.shape), mouth_aperture(take.shape)]).astype(np.float32)

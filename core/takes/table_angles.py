@@ -25,7 +25,7 @@ EYES = tuple(f"{side}Eye{axis}" for side in ("Left", "Right") for axis in ("Yaw"
 
 
 def head_rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
-    """Convert angles to the performer's left, up, and anticlockwise for the viewer to those of `TrackResult`."""
+    """Convert radians to the performer's left, up, and anticlockwise for the viewer to those of `TrackResult`."""
     return from_face_axes(-pitch, yaw, roll)
 
 
@@ -102,8 +102,8 @@ def unit_of_angles(angles: FloatArray, coefficients: FloatArray) -> str:
 def poses_of(angles: FloatArray, unit: str) -> tuple[FloatArray, list[FloatArray | None]]:
     """Convert a table's angles (N, 9) of `HEAD` and `EYES` to rotations of the head and directions of the eyes.
 
-    Rotations (N, 3) are in radians, as in `TrackResult`; of N rows, the eyes are as from `eye_directions`, and all None
-    if no row has any.
+    Rotations (N, 3) are in radians, as in `TrackResult`. The eyes of each row are as from `eye_directions`, but all
+    None if no row has any.
     """
     radians = angles * (pi / 180.0 if unit == DEGREES else 1.0)
     rotations = np.array([head_rotation(*row) for row in radians[:, :3].tolist()])

@@ -49,7 +49,7 @@ class TextTable:
 
 
 def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> TextTable:
-    """Open a table of text, of which lines are read one by one without the empty ones.
+    """Open a table of text, whose lines are read one by one; empty ones are left out.
 
     The separator that gives most titles that are `known` is taken; a line that begins with `note` may precede them.
     Raises ValueError if it is not text, or too large, and OSError if it cannot be read.

@@ -62,7 +62,7 @@ class ViewerModel:
 
 
 def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> ViewerModel:
-    """Prepare a head for the page; its patches index `HeadRig.all_vertices`.
+    """Prepare a head for the page; the patches of its appearance index `HeadRig.all_vertices`.
 
     Raises HeadError if the head is driven in a way that is not linear, or by too many keys.
     """

@@ -135,7 +135,7 @@ def finite(value: float) -> float:
 
 
 def turned(x: float, y: float, z: float) -> FloatArray:
-    """Convert radians about the axes of ARKit's face anchor by `from_face_axes`; raises PacketError if impossible."""
+    """Convert radians as `from_face_axes` does; raises PacketError if one is impossible."""
     return from_face_axes(possible(x), possible(y), possible(z))
 
 

@@ -75,7 +75,7 @@ class Connecting(Closing):
 
 
 class Serving(Closing):
-    """An event loop in its own thread of the given name, until `close`."""
+    """An event loop in a thread of its own, called `name`, until `close`."""
 
     def __init__(self, name: str) -> None:
         self._loop, self._over = asyncio.new_event_loop(), asyncio.Event()

@@ -285,7 +285,7 @@ class OwnReceiver:
 
 
 class OwnSender:
-    """Numbers and signs the packets of Facemime's own stream; without a key, does not sign or greet receivers."""
+    """Numbers and signs the packets of Facemime's own stream; without a key there is no signature or handshake."""
 
     def __init__(self, key: bytes | None) -> None:
         self._key = key

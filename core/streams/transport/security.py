@@ -184,7 +184,7 @@ def load_identity(folder: Path) -> TlsIdentity:
 
 
 def renew_identity(folder: Path) -> None:
-    """Replace the identity stored in a folder, which invalidates its pairing lines; raises OutputError if it cannot."""
+    """Replace the identity in a folder, so that its pairing lines are no longer valid; may raise OutputError."""
     _write_identity(folder)
 
 
