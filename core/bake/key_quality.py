@@ -47,8 +47,6 @@ class KeyQuality:
 
     Attributes
     ----------
-    name : str
-        Name of the key.
     moved : float
         Largest displacement of a vertex, in outer-eye distances.
     eyes : float

@@ -154,8 +154,6 @@ def greedy_select(
     tolerance : float
         Error allowed at landmarks that are not control points, as a fraction of the face's width (landmarks 0 to
         16).
-    max_points : int
-        Largest number of control points.
     always, never : iterable of int
         Landmarks (positions in the 66) that the user requires or excludes.
     search : {"take", "paper"}

@@ -22,8 +22,6 @@ class SelectionSettings:
         predicts them by distance alone, with a Gaussian, and only adds points.
     tolerance : float
         Error allowed at the other landmarks, as a fraction of the face's width.
-    max_points : int
-        Largest number of control points.
     """
 
     search: Search = setting(

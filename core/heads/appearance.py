@@ -49,8 +49,6 @@ class Patch:
 
     Attributes
     ----------
-    surface : Material
-        The material.
     faces : (F, K) int
         Vertices of each face, padded with -1.
     uv : (F, K, 2) float32 or None

@@ -48,8 +48,6 @@ class Region:
 
     Attributes
     ----------
-    name : str
-        Name of the region.
     landmarks : (P,) intp
         Landmarks (positions in the 66) that control it.
     spacing_factor : float

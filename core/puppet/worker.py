@@ -52,8 +52,6 @@ class LiveOptions:
         Width of the preview in pixels; 0 for none.
     face : (float, float) or None
         Position of the face to track, as for `FaceTracker.choose`; None for the largest.
-    tracking : TrackingSettings
-        How faces are found.
     learn : bool
         Whether to learn the performer meanwhile: the neutral face, unless it was calibrated, and where eyes are shut.
     people : tuple of int or None

@@ -18,8 +18,6 @@ class Mending:
 
     Attributes
     ----------
-    outliers : bool
-        Whether to remove outliers.
     gaps : {"leave", "bridge", "hold"}
         What to do with gaps without a face, as for `bridge_gaps`.
     longest : float

@@ -78,8 +78,6 @@ class ViewerServer(Serving):
 
     Parameters
     ----------
-    settings : ViewerSettings
-        Where to serve.
     appearances : sequence of Appearance
         Appearance of each head, in the order of the worker's heads.
 

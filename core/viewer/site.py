@@ -120,8 +120,6 @@ class Site:
     ----------
     folder : Path
         The folder, created if it does not exist.
-    relay : Relay
-        The relay.
 
     Attributes
     ----------
