@@ -334,7 +334,7 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
         if row.key in keys:
             before[keys.index(row.key), names.index(row.source)] += max(row.gain, 0.0)
             offsets[keys.index(row.key)] += row.offset
-    # Equation 9.6 for all keys at once.
+    # Equation 9.7 for all keys at once.
     gram = coefficients.T @ coefficients + _RIDGE * np.eye(len(names))
     products = (np.asarray(poses).T - offsets[:, None]) @ coefficients + _RIDGE * before
     gains = bounded_least_squares(gram, products, np.zeros(len(names)), np.full(len(names), np.inf))

@@ -39,6 +39,7 @@ def mix(first: Take, second: Take, share: FloatArray) -> Take:
     arrays: dict[str, Any] = {name: _between(getattr(first, name), getattr(second, name), share) for name in FIELDS[1:]}
     pose = arrays["pose"]
     a, b = first.pose[both], second.pose[both]
+    # A scale is a factor: its geometric mean lies halfway, and it stays positive.
     pose[both, 0] = a[:, 0] ** (1.0 - share[both]) * b[:, 0] ** share[both]
     pose[both, 1:4] = mix_rotations(a[:, 1:4], b[:, 1:4], share[both])
     arrays["landmarks"][both] = project(arrays["shape"][both], pose[both])
@@ -195,6 +196,7 @@ def between(first: TrackResult, second: TrackResult, share: float) -> TrackResul
         return np.asarray(a + share * (b - a))
 
     pose, shape = mixed("pose"), mixed("shape")
+    # The scale changes by a constant factor, so that extrapolation cannot make it negative.
     pose[0] = first.pose[0] * (second.pose[0] / first.pose[0]) ** share
     turns = second.pose[1:4] - first.pose[1:4]
     pose[1:4] = first.pose[1:4] + share * (np.mod(turns + np.pi, 2.0 * np.pi) - np.pi)
