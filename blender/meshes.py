@@ -119,6 +119,18 @@ def read_faces(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
     return faces
 
 
+def read_uv(mesh: bpy.types.Mesh, faces: NDArray[np.int32]) -> NDArray[np.float32] | None:
+    """Return the active texture coordinates (F, K, 2) of the corners of `faces`, all those of the mesh, or None."""
+    layer = mesh.uv_layers.active
+    if layer is None or len(layer.data) != len(mesh.loops):
+        return None
+    flat = np.empty(2 * len(mesh.loops), dtype=np.float32)
+    layer.data.foreach_get("uv", flat)
+    uv = np.zeros((*faces.shape, 2), dtype=np.float32)
+    uv[faces >= 0] = flat.reshape(-1, 2)
+    return uv
+
+
 def read_corners(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
     """Return the vertex indices of all face corners, face after face."""
     corners = np.empty(len(mesh.loops), dtype=np.int32)

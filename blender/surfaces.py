@@ -48,7 +48,7 @@ class ShownColours:
         meshes = list(meshes)
         materials = dict.fromkeys(material for mesh in meshes for material in mesh.materials if material is not None)
         self._before = _show_images(materials)
-        textured = any(_colour_node(material) is not None for material in materials)
+        textured = any(colour_node(material) is not None for material in materials)
         coloured = any(len(mesh.color_attributes) for mesh in meshes)
         self.kind: Literal["TEXTURE", "VERTEX", ""] = "TEXTURE" if textured else "VERTEX" if coloured else ""
 
@@ -71,7 +71,7 @@ def _show_images(materials: Iterable[bpy.types.Material]) -> list[tuple[str, str
     """
     before: list[tuple[str, str, str, AlphaMode]] = []
     for material in materials:
-        node = _colour_node(material)
+        node = colour_node(material)
         if node is None or material.library is not None:
             continue
         nodes, image = material.node_tree.nodes, node.image
@@ -83,7 +83,7 @@ def _show_images(materials: Iterable[bpy.types.Material]) -> list[tuple[str, str
     return before
 
 
-def _colour_node(material: bpy.types.Material) -> bpy.types.ShaderNodeTexImage | None:
+def colour_node(material: bpy.types.Material) -> bpy.types.ShaderNodeTexImage | None:
     """Return the node with the image of the colour of a material: that of its Principled BSDF, or the first that leads
     to the output of another shader, as in unlit materials of avatars; None without one.
     """

@@ -15,7 +15,7 @@ from ...core.files.reading import read_bytes
 from ...core.heads.appearance import Appearance, AttachedPart, Material, Patch
 from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender
-from ..meshes import keys_of, mesh_of, read_faces, read_vertices
+from ..meshes import keys_of, mesh_of, read_faces, read_uv, read_vertices
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..surfaces import linked_image, principled
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue
@@ -76,7 +76,7 @@ def _patches(obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Ma
     faces = read_faces(mesh)
     numbers = np.empty(len(faces), dtype=np.int32)
     mesh.polygons.foreach_get("material_index", numbers)
-    uv = _coordinates(mesh, faces)
+    uv = read_uv(mesh, faces)
     slots = [slot.material for slot in obj.material_slots] or [None]
     for number, material in enumerate(slots):
         own = np.minimum(numbers, len(slots) - 1) == number
@@ -84,18 +84,6 @@ def _patches(obj: bpy.types.Object, surfaces: dict[bpy.types.Material | None, Ma
             surface = surfaces.setdefault(material, _surface(material))
             shifted = np.where(faces[own] >= 0, faces[own] + first, -1)
             yield Patch(surface, shifted, None if uv is None else uv[own])
-
-
-def _coordinates(mesh: bpy.types.Mesh, faces: NDArray[np.int32]) -> NDArray[np.float32] | None:
-    """Return the (F, K, 2) texture coordinates of the corners, or None."""
-    layer = mesh.uv_layers.active
-    if layer is None or len(layer.data) != len(mesh.loops):
-        return None
-    flat = np.empty(2 * len(mesh.loops), dtype=np.float32)
-    layer.data.foreach_get("uv", flat)
-    uv = np.zeros((*faces.shape, 2), dtype=np.float32)
-    uv[faces >= 0] = flat.reshape(-1, 2)
-    return uv
 
 
 def _surface(material: bpy.types.Material | None) -> Material:

@@ -45,6 +45,7 @@ from ..names import (
     REGION_GROUPS,
     SELECTION_PROPERTY,
 )
+from ..paint import read_paint
 from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, require_character
 from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
@@ -119,7 +120,7 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
     try:
-        binding, along = yield from _bound(read_vertices(mesh), skin, marks, axes)
+        binding, along = yield from _bound(obj, skin, marks, axes)
     except HeadError as error:
         if names := ", ".join(generating_modifiers(obj)):
             raise HeadError(
@@ -162,7 +163,7 @@ def _among_parts(
     if len(final.kept) == len(skin.kept):
         return binding, landmarks
     try:
-        binding, _ = yield from _bound(read_vertices(mesh), final, marks, [np.eye(3)])
+        binding, _ = yield from _bound(obj, final, marks, [np.eye(3)])
     except (HeadError, GeneratorExit):
         forget_parts(obj)
         raise
@@ -264,9 +265,9 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
 
 def _bound(
-    vertices: NDArray[np.floating[Any]], skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating[Any]]]
+    obj: bpy.types.Object, skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating[Any]]]
 ) -> Work[tuple[Binding, NDArray[np.floating[Any]]]]:
-    """Return the binding of a skin, and the one of `axes`, (3, 3) rotations, along which it was found.
+    """Return the binding of the skin of `obj`, and the one of `axes`, (3, 3) rotations, along which it was found.
 
     It is the first along which a face is clearly visible, or otherwise the one along which the template was deformed
     least. Raises HeadError if no face is found along any of them.
@@ -275,10 +276,15 @@ def _bound(
     failure: HeadError | None = None
     marked = {landmark: int(skin.number[vertex]) for landmark, vertex in marks.items() if vertex < len(skin.number)}
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
+    paint = read_paint(obj)
+    paint = None if paint is None else paint.of_faces(skin.rows)
+    vertices = read_vertices(mesh_of(obj))
     for rotation in axes:
         try:
             turned = vertices[skin.kept] @ rotation.T
-            binding = yield Task(partial(bind_landmarks, turned, skin.faces, marked), len(found) / (len(axes) + 1))
+            binding = yield Task(
+                partial(bind_landmarks, turned, skin.faces, marked, paint), len(found) / (len(axes) + 1)
+            )
         except HeadError as error:
             failure = error
             continue

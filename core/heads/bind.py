@@ -30,6 +30,7 @@ from ..mesh.surface import NearestPoints, SurfaceGraph, lips_joined
 from ..numeric.arrays import FloatArray, IntArray, as_points
 from .checks import Finding, resting_findings
 from .fit_template import NOT_FOUND, fit_template
+from .portrait import Paint
 from .proposal import propose_regions
 from .rig import HeadRig, jaw_pivot_of
 from .sight import Sight
@@ -131,7 +132,9 @@ class Binding:
         )
 
 
-def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> Binding:
+def bind_landmarks(
+    vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None, paint: Paint | None = None
+) -> Binding:
     """Find the 66 landmarks of a head.
 
     Parameters
@@ -143,6 +146,8 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
         Vertices of each face, padded with -1.
     marks : mapping of int to int, optional
         Vertices that the user marked, by iBUG number; at least four of `MARKS`.
+    paint : Paint, optional
+        Colours of the mesh, in which brows and lids may be seen more clearly than as if it were of clay.
 
     Returns
     -------
@@ -175,7 +180,7 @@ def bind_landmarks(vertices: FloatArray, faces: IntArray, marks: Mapping[int, in
     # 1. to 3. Look, similarity and warps.
     template = load_template()
     try:
-        fitted = fit_template(template, places, np.asarray(faces), picked)
+        fitted = fit_template(template, places, np.asarray(faces), picked, paint)
     except HeadError as error:
         if picked or len(places) >= _ENOUGH:
             raise

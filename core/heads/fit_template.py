@@ -13,6 +13,7 @@ from ..face.landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
 from ..mesh.kernels import Warp
 from ..mesh.surface import surface_normals
 from ..numeric.arrays import FloatArray, IntArray
+from .portrait import Paint
 from .sight import Sight, look
 from .template import Pose, Surface, Template, follow, pose_from_shape, rough_poses, similarity
 from .views import View, seen_view, views_of
@@ -102,7 +103,13 @@ class FittedTemplate:
         return self.strain < (_UNUSUAL_STRAIN if seen else _LOW_STRAIN)
 
 
-def fit_template(template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> FittedTemplate:
+def fit_template(
+    template: Template,
+    places: FloatArray,
+    faces: IntArray,
+    picked: Mapping[int, int],
+    paint: Paint | None = None,
+) -> FittedTemplate:
     """Fit the template to a mesh of vertices (V, 3) or to its head, with the marked vertices by landmark, if any.
 
     Without marks, the attitude is the one in which a face is seen or, if none is clearly seen, the one that bends the
@@ -110,11 +117,11 @@ def fit_template(template: Template, places: FloatArray, faces: IntArray, picked
     looks like a face.
     """
     seen: FittedTemplate | None = None
-    if not picked and (found := seen_view(places, faces)) is not None:
+    if not picked and (found := seen_view(places, faces, paint)) is not None:
         seen = _fit(template, *found, {})
         if found[1].sure and np.isfinite(seen.strain):
             return seen
-    best = _fit_by_shape(template, places, faces, picked)
+    best = _fit_by_shape(template, views_of(places, faces, picked, paint), len(places), picked)
     if seen is not None and not (best is not None and best.strain < _LOW_STRAIN):
         best = seen
     if best is None or not np.isfinite(best.strain) or not (picked or best.sight or best.strain < _LOW_STRAIN):
@@ -123,12 +130,12 @@ def fit_template(template: Template, places: FloatArray, faces: IntArray, picked
 
 
 def _fit_by_shape(
-    template: Template, places: FloatArray, faces: IntArray, picked: Mapping[int, int]
+    template: Template, views: Iterator[View], count: int, picked: Mapping[int, int]
 ) -> FittedTemplate | None:
     """Return the first fit that hardly bends the template, or else the one that bends it least."""
     best: FittedTemplate | None = None
-    for view in _likely_first(template, views_of(places, faces, picked)):
-        numbers = np.full(len(places), -1)
+    for view in _likely_first(template, views):
+        numbers = np.full(count, -1)
         numbers[view.part] = np.arange(len(view.part))
         fitted = _fit(template, view, None, {landmark: int(numbers[v]) for landmark, v in picked.items()})
         if best is None or fitted.strain < best.strain:
@@ -180,7 +187,7 @@ def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int
 def _seen_along(view: View, pose: Pose, marks: Mapping[int, int]) -> Sight | None:
     """Return the face that is seen from the direction that the marks imply, if it agrees with them."""
     size, rotation, _ = pose
-    sight = look(view.places @ rotation, view.faces)
+    sight = look(view.places @ rotation, view.faces, view.paint)
     if sight is None or not sight.sure:
         return None
     sight = replace(sight, points=sight.points @ rotation.T)
@@ -200,8 +207,9 @@ def _of_sight(template: Template, sight: Sight, marks: Mapping[int, int]) -> Gui
     moved by a share towards the places where it sees the landmarks of the template.
     """
     led = np.setdiff1d(INNER, list(marks))
-    own = template.places[template.landmarks]
-    source = own + _BIAS[:, None] * (template.seen - own)
+    source = own = template.places[template.landmarks]
+    if not sight.painted:
+        source = own + _BIAS[:, None] * (template.seen - own)
     return Guides(source[led], sight.points[led], _SOFTNESS[led] / sight.certainty[led])
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..mesh.surface import surface_normals, triangulate
-from ..mesh.triangles import rasterise
+from ..mesh.triangles import Fragments, rasterise
 from ..numeric.arrays import FloatArray, IntArray
 
 SIZE = 256
@@ -44,6 +44,12 @@ _BACKDROP = 0.55
 """Brightness of the background, relative to skin in full light."""
 _SKIN = 200.0
 """Grey value of skin in full light."""
+_DIFFUSE = 0.6
+"""Share of light from everywhere on a mesh in its own colours, whose texture already has some shading."""
+_COMPLEXION = 0.65
+"""Median brightness of a mesh in its own colours, so that dark skin is as well lit as fair skin."""
+_DARKEST = 0.02
+"""Median above which it is scaled to that."""
 _WHITE = 0.85
 """Brightness of an eye that is drawn into an empty socket, relative to skin in full light."""
 _DARK = 0.2
@@ -119,8 +125,28 @@ class Portrait:
         return np.column_stack([self.corner + self.pixel * points, depth])
 
 
+@dataclass(frozen=True, eq=False)
+class Paint:
+    """The colours of a mesh, in grey.
+
+    Attributes
+    ----------
+    image : (H, W) uint8
+        The image, or several beside each other.
+    uv : (F, K, 2) float32
+        Pixels `(x, y)` of the image that the corners of each face show.
+    """
+
+    image: NDArray[np.uint8]
+    uv: NDArray[np.float32]
+
+    def of_faces(self, rows: IntArray) -> Paint:
+        """Return the paint of some faces only."""
+        return Paint(self.image, self.uv[rows])
+
+
 class Sitter:
-    """A mesh from which portraits are made.
+    """A mesh from which portraits are made: as if of clay, or in its own colours if it has a `paint`.
 
     Parameters
     ----------
@@ -130,8 +156,9 @@ class Sitter:
         Vertices of each face, padded with -1.
     """
 
-    def __init__(self, places: FloatArray, faces: IntArray) -> None:
+    def __init__(self, places: FloatArray, faces: IntArray, paint: Paint | None = None) -> None:
         self.places, self.triangles = places, triangulate(faces)
+        self._paint = None if paint is None else Paint(paint.image, _of_triangles(paint.uv, faces))
         outward = 1.0 if _volume(places, self.triangles) >= 0.0 else -1.0
         self._normals = outward * surface_normals(places, faces)
 
@@ -156,6 +183,10 @@ class Sitter:
         facing = (drawn.barycentric[:, :, None] * normals[self.triangles[drawn.triangle]]).sum(axis=1)
         facing /= np.maximum(np.linalg.norm(facing, axis=1, keepdims=True), 1e-12)
         lit = _AMBIENT + (1.0 - _AMBIENT) * np.maximum(facing @ _LIGHT, 0.0)
+        if self._paint is not None:
+            shown = _colours(self._paint, drawn)
+            lit = _DIFFUSE + (1.0 - _DIFFUSE) * lit
+            lit *= shown * (_COMPLEXION / max(float(np.median(lit * shown)), _DARKEST))
         # A normal along the line of sight (+z) shows the back of a surface: the inside of an open mouth, or an empty
         # socket.
         hollow = _enclosed(drawn.depth)
@@ -163,8 +194,25 @@ class Sitter:
         image = np.full(SIZE * SIZE, _BACKDROP)
         image[drawn.pixel] = lit
         image[hollow.ravel()] = _INSIDE
-        grey = (_SKIN * image).astype(np.uint8).reshape(SIZE, SIZE)
+        grey = np.minimum(_SKIN * image, 255.0).astype(np.uint8).reshape(SIZE, SIZE)
         return Portrait(grey, corner, pixel, drawn.depth * np.float32(pixel) + np.float32(middle), hollow)
+
+
+def _of_triangles(uv: NDArray[np.float32], faces: IntArray) -> NDArray[np.float32]:
+    """Return (T, 3, 2) coordinates of the corners of `triangulate(faces)` from those of faces, (F, K, 2)."""
+    whole = np.asarray(faces)
+    fans = [uv[whole[:, k] >= 0][:, [0, k - 1, k]] for k in range(2, whole.shape[1])]
+    return np.concatenate(fans) if fans else np.empty((0, 3, 2), np.float32)
+
+
+def _colours(paint: Paint, drawn: Fragments) -> NDArray[np.float32]:
+    """Brightness of the paint in each covered pixel, 0 to 1."""
+    where = np.zeros((SIZE * SIZE, 2), np.float32)
+    where[drawn.pixel] = (drawn.barycentric[:, :, None] * paint.uv[drawn.triangle]).sum(axis=1)
+    # Sampled as an image, as the length of a row is limited.
+    x, y = (np.ascontiguousarray(axis) for axis in where.reshape(SIZE, SIZE, 2).transpose(2, 0, 1))
+    shown = np.asarray(cv2.remap(paint.image, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(shown.ravel()[drawn.pixel] / np.float32(255.0))
 
 
 def _enclosed(depth: NDArray[np.float32]) -> NDArray[np.bool_]:

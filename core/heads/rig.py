@@ -88,11 +88,14 @@ class Skin:
         Vertex of the skin of each vertex of the mesh; twins at a seam share one, and vertices of other parts have -1.
     faces : (F, K) intp
         Faces of the skin.
+    rows : (F,) intp
+        Face of the mesh of each face of the skin.
     """
 
     kept: NDArray[np.intp]
     number: NDArray[np.intp]
     faces: NDArray[np.intp]
+    rows: NDArray[np.intp]
 
     @property
     def is_whole(self) -> bool:
@@ -116,7 +119,7 @@ def skin_of(
     number[kept] = np.arange(len(kept))
     number[:-1][skin] = number[first[skin]]
     within = ((number[faces] >= 0) | (faces < 0)).all(axis=1)
-    return Skin(kept, number[:-1], number[faces[within]])
+    return Skin(kept, number[:-1], number[faces[within]], np.flatnonzero(within))
 
 
 def _size(points: FloatArray) -> float:

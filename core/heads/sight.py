@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -16,7 +16,7 @@ from ..tracking.model_file import load_model
 from ..tracking.pdm import FittedShape, PointDistributionModel
 from ..tracking.search import FaceSearch
 from ..tracking.tracker import DEFAULT_MODEL
-from .portrait import SIZE, Portrait, Sitter
+from .portrait import SIZE, Paint, Portrait, Sitter
 
 _STEPS = tuple(Step.whole(effort) for effort in (Effort.NEAR, Effort.FILLING, Effort.FINE))
 _CLOSE = 1.3
@@ -47,12 +47,15 @@ class Sight:
         Certainty of each landmark, 0 to 1.
     shape : (66, 3) float64
         The tracker's landmarks without the pose: head frame, in outer-eye distances.
+    painted : bool
+        Whether the face was seen in its own colours.
     """
 
     confidence: float
     points: FloatArray
     certainty: FloatArray
     shape: FloatArray
+    painted: bool = False
 
     @property
     def clarity(self) -> float:
@@ -65,13 +68,20 @@ class Sight:
         return self.clarity > _SURE
 
 
-def look(places: FloatArray, faces: IntArray) -> Sight | None:
+def look(places: FloatArray, faces: IntArray, paint: Paint | None = None) -> Sight | None:
     """Look for a face on a mesh from in front, and return the most certain one, or None if there is none.
 
-    The viewer looks along z, and y is down. It takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
+    The viewer looks along z, and y is down. A mesh with a paint is seen as if of clay and in its colours, and the
+    clearer sight is returned. It takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
     """
-    sitter = Sitter(places, faces)
-    if not np.ptp(places, axis=0)[:2].max() > 0.0 or not len(sitter.triangles):
+    sights = [_seen(Sitter(places, faces))]
+    if paint is not None and (coloured := _seen(Sitter(places, faces, paint))) is not None:
+        sights.append(replace(coloured, painted=True))
+    return max((sight for sight in sights if sight is not None), key=lambda sight: sight.clarity, default=None)
+
+
+def _seen(sitter: Sitter) -> Sight | None:
+    if not np.ptp(sitter.places, axis=0)[:2].max() > 0.0 or not len(sitter.triangles):
         return None
     whole = sitter.portrait()
     found = _found(whole.image)

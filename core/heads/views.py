@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ..face.landmarks import INNER, N_LANDMARKS
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray, IntArray
+from .portrait import Paint
 from .sight import Sight, look
 from .template import Surface
 
@@ -52,12 +53,15 @@ class View:
         Their rotated positions.
     faces : (F, K) int
         Faces between them, padded with -1.
+    paint : Paint or None
+        Their colours.
     """
 
     attitude: FloatArray
     part: NDArray[np.intp]
     places: FloatArray
     faces: IntArray
+    paint: Paint | None = None
 
     @cached_property
     def surface(self) -> Surface:
@@ -65,7 +69,9 @@ class View:
         return Surface(self.places, self.faces)
 
 
-def views_of(places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> Iterator[View]:
+def views_of(
+    places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint: Paint | None = None
+) -> Iterator[View]:
     """Yield the views in which the mesh may be a head, the upright one that faces the viewer first.
 
     With marked vertices, by landmark, there is only one.
@@ -74,17 +80,17 @@ def views_of(places: FloatArray, faces: IntArray, picked: Mapping[int, int]) -> 
         turned = places @ attitude.T
         parts = [_around(turned, turned[list(picked.values())])] if picked else _heads_of(turned)
         for part in parts:
-            yield _view(attitude, turned, faces, part)
+            yield _view(attitude, turned, faces, part, paint)
 
 
-def seen_view(places: FloatArray, faces: IntArray) -> tuple[View, Sight] | None:
+def seen_view(places: FloatArray, faces: IntArray, paint: Paint | None = None) -> tuple[View, Sight] | None:
     """Find the view in which the face is seen most clearly, of the head alone if the mesh has a body.
 
     It is None if no face is seen in any.
     """
     best: tuple[View, Sight] | None = None
-    for view in views_of(places, faces, {}):
-        sight = look(view.places, view.faces)
+    for view in views_of(places, faces, {}, paint):
+        sight = look(view.places, view.faces, view.paint)
         if sight is not None and (best is None or sight.clarity > best[1].clarity):
             best = view, sight
         # Most meshes are upright and face the viewer; the other attitudes are tried while none shows a face beyond
@@ -95,16 +101,19 @@ def seen_view(places: FloatArray, faces: IntArray) -> tuple[View, Sight] | None:
         return best
     view, sight = best
     turned = places @ view.attitude.T
-    return _view(view.attitude, turned, faces, _around(turned, sight.points[INNER])), sight
+    return _view(view.attitude, turned, faces, _around(turned, sight.points[INNER]), paint), sight
 
 
-def _view(attitude: FloatArray, turned: FloatArray, faces: IntArray, part: NDArray[np.intp]) -> View:
+def _view(
+    attitude: FloatArray, turned: FloatArray, faces: IntArray, part: NDArray[np.intp], paint: Paint | None
+) -> View:
     if len(part) == len(turned):
-        return View(attitude, part, turned, faces)
+        return View(attitude, part, turned, faces, paint)
     numbers = np.full(len(turned) + 1, -1)
     numbers[part] = np.arange(len(part))
-    within = (numbers[faces] >= 0) | (faces < 0)
-    return View(attitude, part, turned[part], numbers[faces[within.all(axis=1)]])
+    within = ((numbers[faces] >= 0) | (faces < 0)).all(axis=1)
+    kept = None if paint is None else paint.of_faces(within)
+    return View(attitude, part, turned[part], numbers[faces[within]], kept)
 
 
 def _around(places: FloatArray, points: FloatArray) -> NDArray[np.intp]:
