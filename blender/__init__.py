@@ -15,7 +15,7 @@ if __name__ == "facemime.blender":  # the library; nothing else imports the exte
             "contexts": "undo",
             "fcurves": "shared_actions tracks",
             "heads.keyed": "heads.vrm",
-            "heads.new_heads": "heads.built_in heads.facegen",
+            "heads.new_heads": "heads.built_in",
             "heads.openings": "heads.eyes heads.lips",
             "heads.placing": "heads.binding_undo heads.landmark_places",
             "reference": "media.sound",

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.face.landmarks import OUTER_EYE_CORNERS
-from ..core.heads.eyeballs import fit_eyeball
+from ..core.heads.eyeballs import LID_THICKNESS, fit_eyeball
 from ..core.heads.regions import membership
 from ..core.heads.rig import HeadRig, jaw_pivot_of, same_parts
 from ..core.numeric.arrays import FloatArray
@@ -87,15 +87,21 @@ def _read_eyeballs(obj: bpy.types.Object, landmarks: NDArray[np.floating[Any]]) 
 
     The landmarks (66, 3) in the head frame distinguish the left eye of a mesh from the right one.
     """
-    points = read_vertices(mesh_of(obj))[eye_vertices(obj)].astype(np.float64)
-    right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
-    side = (points - (right + left) / 2.0) @ (left - right)
-    eyeballs = [fit_eyeball(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3]
+    eyeballs = []
     for child in obj.children:
         if str(child.get(PART_PROPERTY, "")).startswith("eye") and isinstance(child.data, bpy.types.Mesh):
             within = child.matrix_parent_inverse @ child.matrix_basis
             radius = float(np.linalg.norm(read_vertices(child.data), axis=1).max(initial=0.0))
             eyeballs.append([*from_blender(np.array(within.translation)), radius * within.median_scale])
+    points = read_vertices(mesh_of(obj))[eye_vertices(obj)].astype(np.float64)
+    right, left = landmarks[OUTER_EYE_CORNERS].astype(np.float64)
+    side = (points - (right + left) / 2.0) @ (left - right)
+    for cut in (fit_eyeball(eye).tolist() for eye in (points[side < 0], points[side >= 0]) if len(eye) > 3):
+        replaced = [ball for ball in eyeballs if np.linalg.norm(np.subtract(cut[:3], ball[:3])) < ball[3]]
+        for ball in replaced:  # an eyeball in place of the surface, as far behind the lids
+            ball[3] /= 1.0 - LID_THICKNESS
+        if not replaced:
+            eyeballs.append(cut)
     return np.array(eyeballs).reshape(-1, 4)
 
 

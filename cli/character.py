@@ -42,6 +42,7 @@ from .character_files import (
     object_named,
     open_file,
     open_head,
+    prepare_imported,
     read_from,
     set_frames,
 )
@@ -208,6 +209,7 @@ def bind(
             head, binding = _bound(chosen, marks)
             if binding is None:
                 return BoundCharacter(head, None, [])
+            prepare_imported(character.path, head)
             for step in [finding.step for finding in check_object(head)] if cut_open else []:
                 if (cut := CUTS.get(step)) is not None:
                     cut(head)

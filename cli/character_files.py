@@ -13,6 +13,7 @@ import bpy
 from ..blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
+from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
 from ..blender.heads.family import family_of, heads_of, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
 from ..blender.heads.openings import open_eyes, open_lips
@@ -66,6 +67,7 @@ _IMPORTERS: Mapping[str, Callable[..., object]] = {
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), lambda path: bpy.ops.wm.usd_import(filepath=path)),
     ".ply": lambda path: bpy.ops.wm.ply_import(filepath=path),
     ".stl": lambda path: bpy.ops.wm.stl_import(filepath=path),
+    TRI: lambda path: import_facegen(bpy.context, [Path(path)]),
 }
 _WHOLE = (".glb", ".vrm", ".fbx", ".abc", ".ply", ".stl", ".obj")
 """Suffixes of files that refer to no other files, and hold a vertex in no less than a byte."""
@@ -246,6 +248,7 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
         tell(driven_by_its_keys(head))
         return head
     head, binding = bound_character(chosen)
+    prepare_imported(path, head)
     if binding.doubt:
         tell(f"facemime: {binding.doubt}")
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
@@ -261,3 +264,9 @@ def bound_character(obj: bpy.types.Object) -> tuple[bpy.types.Object, Binding]:
     if note := turn_note(head, before):
         tell(f"{note}.")
     return head, binding
+
+
+def prepare_imported(path: Path, head: bpy.types.Object) -> None:
+    """Give a head that was read from FaceGen's file, and is bound, eyes that turn; nothing for other files."""
+    if path.suffix.lower() == TRI and prepare_facegen(head):
+        tell("Its painted eyes were cut open, and became eyeballs that turn.")

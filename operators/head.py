@@ -7,12 +7,13 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, StringProperty
 
 from ..blender.animation.exporting import SUFFIX, export_gltf
-from ..blender.heads.new_heads import MILLIMETRE, add_head, import_facegen
-from ..blender.meshes import keys_of, mesh_of
+from ..blender.heads.facegen import MILLIMETRE, add_facegen, import_facegen
+from ..blender.heads.new_heads import add_head
+from ..blender.meshes import mesh_of
 from ..blender.view_layers import free_place
 from ..sessions.session import Session
 from .shared import (
-    AsksForFile,
+    AsksForFiles,
     AsksForFileToWrite,
     heads_in,
     report,
@@ -33,7 +34,11 @@ class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     person: EnumProperty(
         name="Person",
         description="Head to add",
-        items=(("MAN", "Man", "A man with short hair"), ("WOMAN", "Woman", "A woman with hair combed back")),
+        items=(
+            ("MAN", "Man", "A man with short hair"),
+            ("WOMAN", "Woman", "A woman with hair combed back"),
+            ("FACEGEN", "FaceGen", "Jane, a woman by FaceGen's makers, with her photographic skin and her own morphs"),
+        ),
     )
     units: BoolProperty(name="ARKit Shape Keys (52)", description="Add the shape keys of ARKit, all at 0")
     show_textures: BoolProperty(
@@ -49,7 +54,10 @@ class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
         """Add the head at the 3D cursor, or beside the objects there, once the status bar says so."""
         yield 0.0
-        head = add_head(context, woman=self.person == "WOMAN", units=self.units)
+        if self.person == "FACEGEN":
+            head = add_facegen(context)
+        else:
+            head = add_head(context, woman=self.person == "WOMAN", units=self.units)
         head.location = free_place(context, head, context.scene.cursor.location)
         space = context.space_data
         if isinstance(space, bpy.types.SpaceView3D):
@@ -77,21 +85,33 @@ def _frame_selected(context: bpy.types.Context) -> None:
             bpy.ops.view3d.view_selected()
 
 
-class FACEMIME_OT_import_facegen(AsksForFile, bpy.types.Operator):
-    """Import a FaceGen head: a .tri file with its morphs and the .egm file next to it, or an OBJ file"""
+class FACEMIME_OT_import_facegen(AsksForFiles, bpy.types.Operator):
+    """Import FaceGen heads: .tri files with their morphs, textures and .egm files, or OBJ files"""
 
     bl_idname = "facemime.import_facegen"
     bl_label = "FaceGen Head (.tri, .obj)"
     needs = (require_object_mode,)
 
     filter_glob: StringProperty(default="*.tri;*.obj", options={"HIDDEN"})
+    beside: BoolProperty(
+        name="Parts Beside It",
+        description="Also import mouth, teeth, eyes and hair from the folder of a single head",
+        default=True,
+    )
     scale: FloatProperty(name="Scale", description="Metres per unit of the file", default=MILLIMETRE, min=1e-6)
 
     def work(self, context: bpy.types.Context) -> None:
-        """Import the head."""
-        obj = import_facegen(context, self.path, self.scale)
-        keys = 0 if mesh_of(obj).shape_keys is None else len(keys_of(obj).key_blocks) - 1
-        report(self, "{vertices} vertices, {keys} morphs", vertices=len(mesh_of(obj).vertices), keys=keys)
+        """Import the files."""
+        objects = import_facegen(context, self.paths, self.scale, beside=self.beside)
+        vertices = sum(len(mesh_of(obj).vertices) for obj in objects)
+        head = mesh_of(objects[0])
+        keys = 0 if head.shape_keys is None else len(head.shape_keys.key_blocks) - 1
+        text = (
+            "{objects} objects, {vertices} vertices, {keys} morphs"
+            if len(objects) > 1
+            else "{vertices} vertices, {keys} morphs"
+        )
+        report(self, text, objects=len(objects), vertices=vertices, keys=keys)
 
 
 class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):

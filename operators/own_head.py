@@ -4,7 +4,7 @@ from collections.abc import Generator
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import EnumProperty, IntProperty
+from bpy.props import BoolProperty, EnumProperty, IntProperty
 from mathutils import Matrix
 
 from ..blender.characters import read_bones
@@ -19,6 +19,7 @@ from ..blender.heads.binding import (
     turn_note,
     write_marks,
 )
+from ..blender.heads.eyeballs import put_eyeballs
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.openings import open_eyes, open_lips
@@ -234,8 +235,15 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     bl_idname = "facemime.open_eyes"
     bl_label = "Open Eyes"
 
+    eyeballs: BoolProperty(
+        name="Eyeballs That Turn",
+        description="Put eyeballs, which follow the gaze, in place of the eyes that are painted on the mesh",
+    )
+
     def work(self, context: bpy.types.Context) -> None:
         count = open_eyes(subject(context))
+        if self.eyeballs:
+            put_eyeballs(subject(context))
         report(
             self,
             "Cut along the lids of {count} eyes. If the cut misses the lids, undo it, mark the corners of the eyes, "

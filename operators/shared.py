@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeAlias
 
 import bpy
-from bpy.props import BoolProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, StringProperty
 
 from ..blender.heads.family import character_in, heads_of, is_character
 from ..blender.meshes import can_be_driven, is_head, object_of
@@ -146,17 +146,34 @@ class AsksForFile(ReportsErrors):
     @property
     def path(self) -> Path:
         """The selected file; SourceError if there is none, it must not be read, or its name is not valid."""
-        path = Path(bpy.path.abspath(self.filepath))
-        if not path.name or os.path.isdir(path):  # the file browser returns its folder if nothing is selected
-            raise SourceError("No file was selected. Select one, or enter its name.")
-        require_utf8_name(path)
-        check_readable(path)
-        return path
+        return _selected(self.filepath)
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Open the file browser."""
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
+
+
+def _selected(name: str) -> Path:
+    path = Path(bpy.path.abspath(name))
+    if not path.name or os.path.isdir(path):  # the file browser returns its folder if nothing is selected
+        raise SourceError("No file was selected. Select one, or enter its name.")
+    require_utf8_name(path)
+    check_readable(path)
+    return path
+
+
+class AsksForFiles(AsksForFile):
+    """Mixin: asks for one or several files of a folder."""
+
+    files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={"HIDDEN", "SKIP_SAVE"})
+    directory: StringProperty(subtype="DIR_PATH", options={"HIDDEN", "SKIP_SAVE"})
+
+    @property
+    def paths(self) -> list[Path]:
+        """The selected files; SourceError as for `path`."""
+        names = [os.path.join(self.directory, file.name) for file in self.files if file.name]
+        return [_selected(name) for name in names or [self.filepath]]
 
 
 class AsksForFileToWrite(AsksForFile):

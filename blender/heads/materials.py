@@ -21,13 +21,16 @@ _SATURATION = 1.25
 _BRIGHTNESS = 0.8
 """Factor of the brightness of skin and hair in Material Preview and renders."""
 
+_WITH_ALPHA = {32, 64, 128}
+"""Bits of a pixel of images with an alpha."""
+
 Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 
 
 def head_materials(*, woman: bool = False) -> dict[str, bpy.types.Material]:
     """Create the materials of "skin" and of the parts, by name."""
     own = "_woman" if woman else ""
-    eye = _material("Facemime Eye", f"eye{own}.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
+    eye = eye_material(own)
     hair = _material("Facemime Hair", f"hair{own}.jpg", (0.05, 0.03, 0.02), 0.70, _strands)
     teeth = _material("Facemime Teeth", "teeth.jpg", (0.80, 0.76, 0.66), 0.18, _enamel)
     return {
@@ -40,6 +43,11 @@ def head_materials(*, woman: bool = False) -> dict[str, bpy.types.Material]:
         "lashes": hair,
         "hair": hair,
     }
+
+
+def eye_material(own: str = "") -> bpy.types.Material:
+    """Create the material of an eyeball; `own` is what the names of a head's own images end with."""
+    return _material("Facemime Eye", f"eye{own}.jpg", (0.85, 0.83, 0.80), 0.06, _wet)
 
 
 def plain_material(name: str, colour: tuple[float, float, float], roughness: float) -> bpy.types.Material:
@@ -65,10 +73,10 @@ def _shader(material: bpy.types.Material) -> bpy.types.Node:
     return next(node for node in _tree(material).nodes if node.type == "BSDF_PRINCIPLED")
 
 
-def _textured(tree: bpy.types.ShaderNodeTree, picture: str) -> bpy.types.Node:
+def _image_node(tree: bpy.types.ShaderNodeTree, image: bpy.types.Image) -> bpy.types.Node:
     node = tree.nodes.new("ShaderNodeTexImage")
     assert isinstance(node, bpy.types.ShaderNodeTexImage)
-    node.image = _image(picture)
+    node.image = image
     return node
 
 
@@ -84,19 +92,24 @@ def _material(
 ) -> bpy.types.Material:
     """Create a Principled material with an image; `colour` and `roughness` are for viewports without textures."""
     material = plain_material(name, colour, roughness)
+    show_image(material, _image(picture))
+    finish(_tree(material), _shader(material))
+    return material
+
+
+def show_image(material: bpy.types.Material, image: bpy.types.Image) -> None:
+    """Give a material of `plain_material` the colour, and the alpha if it has one, of an image; viewports show it."""
     tree, shader = _tree(material), _shader(material)
-    texture = _textured(tree, picture)
-    texture.location = (-600.0, 300.0)
-    coordinates = _mapped(tree)
-    coordinates.location = (-850.0, 300.0)
+    texture, coordinates = _image_node(tree, image), _mapped(tree)
+    texture.location, coordinates.location = (-600.0, 300.0), (-850.0, 300.0)
     tree.links.new(coordinates.outputs["UV"], texture.inputs["Vector"])
     tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
-    finish(tree, shader)
+    if image.depth in _WITH_ALPHA:
+        tree.links.new(texture.outputs["Alpha"], shader.inputs["Alpha"])
     for node in tree.nodes:
         node.select = False
     texture.select = True
     tree.nodes.active = texture
-    return material
 
 
 def _image(picture: str) -> bpy.types.Image:

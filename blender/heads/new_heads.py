@@ -1,16 +1,12 @@
-"""Heads that are added to a scene: the built-in one, with its parts as children, and FaceGen's."""
+"""Built-in heads that are added to a scene, with their parts as children."""
 
 from __future__ import annotations
-
-from pathlib import Path
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.errors import SourceError
 from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
-from ...core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from ...core.heads.rig import Part
 from ..characters import write_kinds
 from ..frames import to_blender
@@ -22,7 +18,6 @@ from .materials import head_materials
 
 _RENDER_LEVELS = 2
 """Levels of subdivision of the skin in renders."""
-MILLIMETRE = 0.001
 
 
 def add_head(
@@ -44,7 +39,7 @@ def add_head(
     collection.objects.link(skin)
     _subdivide_in_renders(skin)
     write_regions(skin, head.regions)
-    parts = [_add_part(collection, skin, part, materials[part.name]) for part in head.parts]
+    parts = [add_part(collection, skin, part, materials[part.name]) for part in head.parts]
     lashes = mesh_of(parts[PART_NAMES.index("lashes")])
     write_kinds(lashes, np.full(len(lashes.vertices), Part.ON_SKIN))
     attach(skin, {part.name: obj for part, obj in zip(head.parts, parts, strict=True)})
@@ -94,7 +89,7 @@ def _subdivide_in_renders(obj: bpy.types.Object) -> None:
     modifier.levels, modifier.render_levels, modifier.show_viewport = 1, _RENDER_LEVELS, False
 
 
-def _add_part(
+def add_part(
     collection: bpy.types.Collection, parent: bpy.types.Object, part: HeadPart, material: bpy.types.Material
 ) -> bpy.types.Object:
     """Add a child of `parent` whose origin is the part's pivot."""
@@ -121,55 +116,3 @@ def _add_units(
         points = np.ascontiguousarray(to_blender(rest + offsets), dtype=np.float32)
         key.points.foreach_set("co", points.reshape(-1))
         key.value = 0.0  # since Blender 5.0 the default is 1
-
-
-_READERS = {".tri": read_tri, ".obj": read_obj}
-
-
-def import_facegen(context: bpy.types.Context, path: Path, scale: float = MILLIMETRE) -> bpy.types.Object:
-    """Import a head from a `.tri` or `.obj` file as the active object; `scale` is metres per unit of the file.
-
-    The modes of an `.egm` file next to it are imported as well. Raises SourceError if a file is damaged or not a
-    FaceGen head.
-    """
-    if path.suffix.lower() not in _READERS:
-        raise SourceError("{path} is not a FaceGen head. Choose a .tri or .obj file.", path=path)
-    head = _READERS[path.suffix.lower()](path)
-    modes = next((read_egm(file, head) for file in _beside(path)), ())
-    mesh = _facegen_mesh(path.stem, head, scale)
-    obj = bpy.data.objects.new(path.stem, mesh)
-    context.collection.objects.link(obj)
-    _add_keys(obj, head.vertices, (*head.morphs, *modes), scale)
-    select_alone(context, obj)
-    return obj
-
-
-def _beside(path: Path) -> list[Path]:
-    return [file for file in (path.with_suffix(".egm"), path.with_suffix(".EGM")) if file.is_file()]
-
-
-def _facegen_mesh(name: str, head: FaceGenMesh, scale: float) -> bpy.types.Mesh:
-    mesh = bpy.data.meshes.new(name)
-    faces = [[int(vertex) for vertex in face if vertex >= 0] for face in head.faces]
-    mesh.from_pydata((to_blender(head.vertices) * scale).tolist(), [], faces)
-    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
-    if head.uv is not None:
-        layer = mesh.uv_layers.new(name=UV_MAP)
-        layer.data.foreach_set("uv", np.ascontiguousarray(head.uv[head.faces >= 0]).reshape(-1))
-    mesh.update()
-    return mesh
-
-
-def _add_keys(
-    obj: bpy.types.Object,
-    rest: NDArray[np.float32],
-    morphs: tuple[tuple[str, NDArray[np.float32]], ...],
-    scale: float,
-) -> None:
-    if not morphs:
-        return
-    obj.shape_key_add(name="Basis", from_mix=False)
-    for name, offsets in morphs:
-        key = obj.shape_key_add(name=name, from_mix=False)
-        key.points.foreach_set("co", (to_blender(rest + offsets) * scale).astype(np.float32).reshape(-1))
-        key.value = 0.0

@@ -18,6 +18,9 @@ _SINGLE_ACTIONS = ("tongueOut", "mouthRollLower", "mouthRollUpper")
 _SIDED_ACTIONS = ("cheekPuff", "mouthPress", "browInnerUp", "browDown", "noseSneer", "cheekSquint")
 _KINDS = ("modifier", "expression", "phoneme", "arkit", "blendshape", "blendshapes", "bs", "morph")
 """First words of names that are ignored: those of FaceGen's morphs, and what others put before the name of a key."""
+_FACEGEN_KINDS = {"modifier", "expression", "phoneme"}
+_SHAPES = {"earsout", "epicanthicfold"}
+"""FaceGen's modifiers that do not move a face."""
 
 
 _SIDED = (
@@ -131,12 +134,24 @@ shipped tables have at most 5 names of another in common (Daz's are ARKit's).
 @lru_cache(maxsize=1 << 14)
 def normalised(name: str) -> str:
     """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
-    name = unicodedata.normalize("NFKC", name)
-    words = re.sub(r"[\W_]+", " ", re.sub(r"(?<=[a-z])(?=[LR]$)", " ", name)).strip()
+    words = _words(name)
+    first, _, rest = words.partition(" ")
+    if rest and first.lower() in _KINDS:  # first, as the R of "Phoneme: R" is no side
+        words = rest
     for short, side in (("L", "left"), ("R", "right")):
         words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
-    first, _, rest = words.partition(" ")
-    return (rest if rest and first.lower() in _KINDS else words).replace(" ", "").casefold()
+    return words.replace(" ", "").casefold()
+
+
+def _words(name: str) -> str:
+    name = unicodedata.normalize("NFKC", name)
+    return re.sub(r"[\W_]+", " ", re.sub(r"(?<=[a-z])(?=[LR]$)", " ", name)).strip()
+
+
+def is_facial_morph(name: str) -> bool:
+    """Return whether a name is that of one of FaceGen's morphs that move the face, rather than shape a person."""
+    kind, colon, _ = name.partition(":")
+    return bool(colon) and kind.strip().lower() in _FACEGEN_KINDS and normalised(name) not in _SHAPES
 
 
 def without_node(name: str) -> str:

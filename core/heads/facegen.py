@@ -42,7 +42,7 @@ class FaceGenMesh:
     morphs : tuple of (str, (V, 3) float32)
         Name and displacement of each difference and statistical morph.
     labels : dict of str to int
-        Named vertices.
+        Named vertices, and the vertices nearest to named points on faces.
     """
 
     vertices: NDArray[np.float32]
@@ -71,9 +71,12 @@ def read_tri(path: Path) -> FaceGenMesh:
     for _ in range(count["LV"]):
         vertex = reader.indices((1,), count["V"], Message("a labelled vertex"))[0]
         labels[reader.label(wide)] = int(vertex)
+    # Points on a face, of which a quad has two: the triangles at its second and at its fourth corner.
+    halves = np.concatenate([triangles, quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)])
     for _ in range(count["LS"]):
-        reader.skip(16)
-        reader.label(wide)
+        face = reader.indices((1,), len(halves), Message("a labelled point"))[0]
+        shares = reader.array("<f4", (3,), Message("a labelled point"))
+        labels[reader.label(wide)] = int(halves[face][shares.argmax()])
     uv = _tri_uv(reader, count, triangles, quads)
     morphs = [(reader.label(wide), reader.differences(count["V"])) for _ in range(count["Md"])]
     used = 0

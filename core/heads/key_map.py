@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, Message, SourceError
-from ..face.names import COEFFICIENTS, EXCLUSIVE_NAMES, names_of, normalised, without_node
+from ..face.names import COEFFICIENTS, EXCLUSIVE_NAMES, is_facial_morph, names_of, normalised, without_node
 from ..files.assets import ASSETS
 from ..files.reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
 from ..numeric.arrays import FloatArray
@@ -297,9 +297,9 @@ def expression_keys(keys: Sequence[str]) -> list[str]:
 
 
 def known_expressions(keys: Sequence[str]) -> list[str]:
-    """Return those of `keys` that are in any preset."""
+    """Return those of `keys` that are in any preset, or that FaceGen's heads name as expressions."""
     known = {key for preset in presets() for key in preset.matched(keys, ranked=False).keys}
-    return [key for key in keys if key in known]
+    return [key for key in keys if key in known or is_facial_morph(key)]
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:

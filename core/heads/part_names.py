@@ -88,7 +88,7 @@ _NAMED = (
 )
 _RANKS = (Part.ON_SKIN, Part.TEETH_LOWER, Part.TEETH_UPPER, Part.EYE_LEFT, Part.ON_HEAD)
 """Parts, those with the more telling names first: brows and lashes are made of hair, corneas of glass."""
-_INSIDE = _words(r"face_mouth")
+_INSIDE = _words(r"(?:face_)?mouth")
 """Names of the wall of the mouth that may also be those of the teeth and the tongue within it."""
 _LOWER = re.compile(r"lower|bottom|mandib| low | jaw | bot | btm |下")
 _UPPER = re.compile(r"upper|maxill| up | top |上")
@@ -149,9 +149,9 @@ def names_skin(name: str) -> bool:
 
 
 def names_body(name: str) -> bool:
-    """Return whether a name is that of a body or its clothes."""
+    """Return whether a name is that of a body or its clothes; a "mouth sock" is not."""
     text = spaced(name)
-    return bool(_BODY.search(text) or _NATIVE_BODY.search(name)) and not _FACE.search(text)
+    return bool(_BODY.search(text) or _NATIVE_BODY.search(name)) and not (_FACE.search(text) or parts_in(name))
 
 
 def spaced(name: str) -> str:

@@ -83,8 +83,8 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
     middle = np.asarray(points, dtype=np.float64)[MOUTH_CORNERS].mean(axis=0)
     parts: list[Part | None] = []
     for piece in pieces:
-        named = named_part(piece.names)
-        if named == Part.ON_SKIN and not piece.joined and names_inside(piece.names[0]):
+        named, inside = named_part(piece.names), names_inside(piece.names[0])
+        if named == Part.ON_SKIN and not piece.joined and inside:
             named = None
         if piece.skin:
             parts.append(Part.SKIN)
@@ -95,7 +95,7 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
         elif named is not None:
             parts.append(named)
         else:
-            parts.append(Part.ON_SKIN if piece.away < _CLOSE and piece.moving else Part.ON_HEAD)
+            parts.append(Part.ON_SKIN if inside or (piece.away < _CLOSE and piece.moving) else Part.ON_HEAD)
     _divide_teeth(pieces, parts, points, unit)
     return parts
 

@@ -11,7 +11,7 @@ from .puppet_settings import PuppetSettings
 
 CHARACTER_SUFFIXES = (
     *(".blend", ".glb", ".gltf", ".vrm", ".fbx", ".obj", ".abc"),
-    *(".usd", ".usda", ".usdc", ".usdz", ".ply", ".stl"),
+    *(".usd", ".usda", ".usdc", ".usdz", ".ply", ".stl", ".tri"),
 )
 """Suffixes of files that can have a character."""
 

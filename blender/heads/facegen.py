@@ -1,0 +1,230 @@
+"""FaceGen heads that are imported: the skin with its morphs, its texture, and the parts in files beside it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.errors import ModelError, SourceError
+from ...core.files.assets import ASSETS
+from ...core.heads.bind import MIN_MARKS
+from ...core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
+from ...core.heads.part_names import names_inside, parts_in, spaced
+from ...core.heads.rig import Part
+from ..frames import to_blender
+from ..meshes import mesh_of
+from ..names import UV_MAP
+from ..surfaces import colour_node
+from ..view_layers import select_alone
+from .binding import bind_character, check_object, write_marks
+from .eyeballs import put_eyeballs
+from .materials import plain_material, show_image
+from .openings import open_eyes
+
+MILLIMETRE = 0.001
+_JANE = ASSETS / "facegen" / "Jane.tri"
+TRI, OBJ = ".tri", ".obj"
+_READERS = {TRI: read_tri, OBJ: read_obj}
+_IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tga", ".tif", ".tiff")
+_UNWANTED = re.compile(r"small|glass|spectacle|goggle|helmet|hat| cap ")
+"""Words in the names of coarser copies of parts, and of what not everybody wears."""
+_MARKS: Mapping[str, int] = {
+    "exocanthionright": 36,
+    "endocanthionright": 39,
+    "endocanthionleft": 42,
+    "exocanthionleft": 45,
+    "nosetip": 30,
+    "pronasale": 30,
+    "mouthcornerright": 48,
+    "mouthcornerleft": 54,
+    "cheilionright": 48,
+    "cheilionleft": 54,
+    "gnathion": 8,
+    "menton": 8,
+    "chin": 8,
+}
+"""Labels of a file that are marks of `bind.MARKS`, by name without spaces."""
+_SAME = 0.02
+"""Difference, as a share of the largest motion, below which two morphs of one name are the same. FaceGen's heads have
+some of them twice or three times."""
+
+_SKIN = ((0.69, 0.45, 0.35), 0.5)
+_LOOKS: Sequence[tuple[str, tuple[tuple[float, float, float], float]]] = (
+    ("mouth", ((0.16, 0.035, 0.03), 0.35)),
+    ("teeth", ((0.80, 0.76, 0.66), 0.18)),
+    ("tongue", ((0.45, 0.14, 0.13), 0.3)),
+    ("hair", ((0.015, 0.010, 0.008), 0.6)),
+    ("lash", ((0.01, 0.008, 0.007), 0.6)),
+    ("brow", ((0.03, 0.02, 0.015), 0.7)),
+    ("eye", ((0.85, 0.83, 0.80), 0.06)),
+    ("glass", ((0.02, 0.02, 0.022), 0.2)),
+)
+"""Linear RGB colour and roughness of parts without a texture, by words of their names."""
+
+
+def import_facegen(
+    context: bpy.types.Context, paths: Sequence[Path], scale: float = MILLIMETRE, *, beside: bool = True
+) -> list[bpy.types.Object]:
+    """Import FaceGen's `.tri` or `.obj` files, and return the objects; the first is a head, and active.
+
+    Files that are named after parts become children of the head. If `beside` is set and no part is among `paths`, the
+    parts in the folder of a single head are imported too. Textures and the modes of `.egm` files are found by the
+    names of their meshes. `scale` is metres per unit. Raises SourceError if a file is damaged or not FaceGen's, and
+    nothing is imported then.
+    """
+    chosen = list(dict.fromkeys(paths))
+    if beside and len(chosen) == 1 and not _is_part(chosen[0]):
+        chosen += parts_beside(chosen[0])
+    read = [(path, _read(path)) for path in chosen]
+    read.sort(key=lambda pair: _is_part(pair[0]))
+    objects = [_add(context, path, mesh, modes, scale) for path, (mesh, modes) in read]
+    head = objects[0]
+    for (path, _), obj in zip(read[1:], objects[1:], strict=True):
+        if _is_part(path):
+            obj.parent = head
+    select_alone(context, head)
+    return objects
+
+
+def add_facegen(context: bpy.types.Context) -> bpy.types.Object:
+    """Add Jane, a head by FaceGen's makers, in a new collection, ready to be driven, and return her skin."""
+    if not _JANE.is_file():
+        raise ModelError("The head {path} is missing. Reinstall Facemime.", path=_JANE)
+    collection = bpy.data.collections.new(_JANE.stem)
+    context.collection.children.link(collection)
+    objects = import_facegen(context, [_JANE])
+    for obj in objects:
+        for other in obj.users_collection:
+            other.objects.unlink(obj)
+        collection.objects.link(obj)
+        _pack_images(obj)
+    head, _ = bind_character(objects[0])
+    prepare_facegen(head)
+    select_alone(context, head)
+    return head
+
+
+def _pack_images(obj: bpy.types.Object) -> None:
+    """Pack the images of an object's materials, so that a saved file does not need the extension."""
+    for material in mesh_of(obj).materials:
+        node = None if material is None else colour_node(material)
+        if node is not None and node.image is not None and node.image.packed_file is None:
+            node.image.pack()
+
+
+def prepare_facegen(head: bpy.types.Object) -> bool:
+    """Cut the lids of a bound head free of its painted eyes, and put eyeballs that turn behind them.
+
+    Returns whether the eyes were painted.
+    """
+    if not any(finding.step == "open_eyes" for finding in check_object(head)):
+        return False
+    open_eyes(head)
+    put_eyeballs(head)
+    return True
+
+
+def parts_beside(path: Path) -> list[Path]:
+    """Return the `.tri` files with parts of a head in its folder, without coarser copies, glasses and hats.
+
+    A file of the whole mouth replaces those of its teeth, tongue and wall.
+    """
+    try:
+        others = [file for file in sorted(path.parent.iterdir()) if file.suffix.lower() == TRI and file != path]
+    except OSError:  # a folder that can be entered but not listed
+        return []
+    parts = [file for file in others if _is_part(file) and not _UNWANTED.search(spaced(file.stem))]
+    whole = [file for file in parts if names_inside(file.stem) and not parts_in(file.stem)]
+    within = {Part.TEETH_UPPER, Part.TEETH_LOWER}
+    return [file for file in parts if not whole or file in whole or not within & set(parts_in(file.stem))]
+
+
+def _is_part(path: Path) -> bool:
+    """Return whether a file is named after a part of a head, such as `teethUpper` or `sock`."""
+    return bool(parts_in(path.stem)) or names_inside(path.stem) or " sock " in spaced(path.stem)
+
+
+def _read(path: Path) -> tuple[FaceGenMesh, tuple[tuple[str, NDArray[np.float32]], ...]]:
+    """Read a mesh, and the modes of the `.egm` beside it."""
+    if path.suffix.lower() not in _READERS:
+        raise SourceError("{path} is not a FaceGen head. Choose a .tri or .obj file.", path=path)
+    mesh = _READERS[path.suffix.lower()](path)
+    egm = _beside(path, (".egm",))
+    return mesh, () if egm is None else read_egm(egm, mesh)
+
+
+def _beside(path: Path, suffixes: Iterable[str]) -> Path | None:
+    """Return the file of the same name with the first of these endings, in lower or upper case, or None."""
+    wanted = [path.with_suffix(ending) for suffix in suffixes for ending in (suffix, suffix.upper())]
+    return next((file for file in wanted if file.is_file()), None)
+
+
+def _add(
+    context: bpy.types.Context,
+    path: Path,
+    head: FaceGenMesh,
+    modes: tuple[tuple[str, NDArray[np.float32]], ...],
+    scale: float,
+) -> bpy.types.Object:
+    name = "Mouth Sock" if spaced(path.stem).strip() == "sock" else path.stem
+    mesh = bpy.data.meshes.new(name)
+    faces = [[int(vertex) for vertex in face if vertex >= 0] for face in head.faces]
+    mesh.from_pydata((to_blender(head.vertices) * scale).tolist(), [], faces)
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(faces), dtype=bool))
+    if head.uv is not None:
+        layer = mesh.uv_layers.new(name=UV_MAP)
+        layer.data.foreach_set("uv", np.ascontiguousarray(head.uv[head.faces >= 0]).reshape(-1))
+    mesh.materials.append(_material(path, textured=head.uv is not None))
+    mesh.update()
+    obj = bpy.data.objects.new(name, mesh)
+    context.collection.objects.link(obj)
+    _add_keys(obj, head.vertices, (*_distinct(head.morphs), *modes), scale)
+    known = {_MARKS[key]: vertex for key, vertex in _labels(head).items() if key in _MARKS}
+    if len(known) >= MIN_MARKS:
+        write_marks(mesh_of(obj), known)
+    return obj
+
+
+def _labels(head: FaceGenMesh) -> dict[str, int]:
+    return {spaced(name).replace(" ", ""): vertex for name, vertex in head.labels.items()}
+
+
+def _material(path: Path, *, textured: bool) -> bpy.types.Material:
+    """Create the material of a mesh: its texture beside it, or the usual colour of such a part."""
+    words = spaced(path.stem)
+    look = next((look for word, look in _LOOKS if word in words), _SKIN)
+    material = plain_material(path.stem, *look)
+    image = _beside(path, _IMAGES) if textured else None
+    if image is not None:
+        show_image(material, bpy.data.images.load(str(image), check_existing=True))
+    return material
+
+
+def _distinct(morphs: Sequence[tuple[str, NDArray[np.float32]]]) -> list[tuple[str, NDArray[np.float32]]]:
+    """Leave out morphs that repeat one of the same name."""
+    kept: list[tuple[str, NDArray[np.float32]]] = []
+    for name, offsets in morphs:
+        same = (other for known, other in kept if known == name)
+        if not any(np.abs(offsets - other).max() <= _SAME * np.abs(other).max() for other in same):
+            kept.append((name, offsets))
+    return kept
+
+
+def _add_keys(
+    obj: bpy.types.Object,
+    rest: NDArray[np.float32],
+    morphs: Sequence[tuple[str, NDArray[np.float32]]],
+    scale: float,
+) -> None:
+    if not morphs:
+        return
+    obj.shape_key_add(name="Basis", from_mix=False)
+    for name, offsets in morphs:
+        key = obj.shape_key_add(name=name, from_mix=False)
+        key.points.foreach_set("co", (to_blender(rest + offsets) * scale).astype(np.float32).reshape(-1))
+        key.value = 0.0
