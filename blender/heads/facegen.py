@@ -28,6 +28,7 @@ from .openings import open_eyes
 
 MILLIMETRE = 0.001
 _JANE = ASSETS / "facegen" / "Jane.tri"
+_MADE_UP = "Jane.jpg"
 TRI, OBJ = ".tri", ".obj"
 _READERS = {TRI: read_tri, OBJ: read_obj}
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tga", ".tif", ".tiff")
@@ -102,19 +103,22 @@ def add_facegen(context: bpy.types.Context) -> bpy.types.Object:
         for other in obj.users_collection:
             other.objects.unlink(obj)
         collection.objects.link(obj)
-        _pack_images(obj)
     head, _ = bind_character(objects[0])
     prepare_facegen(head)
+    for obj in objects:
+        for node in _image_nodes(obj):
+            if node.image is not None and node.image.name == _MADE_UP:
+                # Her face is found by the make-up of her lids, which would be black when they shut.
+                node.image = bpy.data.images.load(str(_JANE.with_name("Skin.jpg")), check_existing=True)
+            if node.image is not None and node.image.packed_file is None:
+                node.image.pack()  # so that a saved file does not need the extension
     select_alone(context, head)
     return head
 
 
-def _pack_images(obj: bpy.types.Object) -> None:
-    """Pack the images of an object's materials, so that a saved file does not need the extension."""
-    for material in mesh_of(obj).materials:
-        node = None if material is None else colour_node(material)
-        if node is not None and node.image is not None and node.image.packed_file is None:
-            node.image.pack()
+def _image_nodes(obj: bpy.types.Object) -> list[bpy.types.ShaderNodeTexImage]:
+    nodes = (colour_node(material) for material in mesh_of(obj).materials if material is not None)
+    return [node for node in nodes if node is not None]
 
 
 def prepare_facegen(head: bpy.types.Object) -> bool:

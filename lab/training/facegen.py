@@ -1,8 +1,8 @@
 """The FaceGen head that ships: `python -m lab.training.facegen`.
 
-Jane, of Singular Inversions' FaceGen Base Library (MIT), with her mouth and hair. The meshes are unchanged. In the
-texture of her skin, the make-up of her upper lids becomes skin, as shut eyes would be black. The library has no
-textures of mouth and hair, which are painted here.
+Jane, of Singular Inversions' FaceGen Base Library (MIT), with her mouth and hair, unchanged. In a second texture of her
+skin, the make-up of her upper lids becomes skin, as shut eyes would be black; her face is found with the first. The
+library has no textures of mouth and hair, which are painted here.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .data import ROOT, add_data_option
 
 FOLDER = Path("heads") / "facegen"
 OUTPUT = ROOT / "assets" / "facegen"
-_COPIED = ("Jane.tri", "Mouth.tri", "Hair.tri", "LICENSE.txt")
+_COPIED = ("Jane.tri", "Jane.jpg", "Mouth.tri", "Hair.tri", "LICENSE.txt")
 _SIDE = 512
 """Side of the painted textures in pixels."""
 _LID, _EYE = 1.5, 0.8
@@ -56,7 +56,7 @@ def main() -> None:
         shutil.copyfile(source / name, OUTPUT / name)
     skin = cv2.imread(str(source / "Jane.jpg"))
     painted = without_make_up(skin, read_tri(source / "Jane.tri"))
-    cv2.imwrite(str(OUTPUT / "Jane.jpg"), painted, [cv2.IMWRITE_JPEG_QUALITY, 90])
+    cv2.imwrite(str(OUTPUT / "Skin.jpg"), painted, [cv2.IMWRITE_JPEG_QUALITY, 90])
     cv2.imwrite(str(OUTPUT / "Mouth.png"), paint_mouth(read_tri(source / "Mouth.tri"), rng))
     cv2.imwrite(str(OUTPUT / "Hair.png"), paint_hair(read_tri(source / "Hair.tri"), rng))
 

@@ -19,6 +19,7 @@ from facemime.core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
 from tests.helpers.commands import run
+from tests.helpers.facegen_files import export_tri
 from tests.helpers.takes import performance
 
 
@@ -35,6 +36,7 @@ EXPORTERS = {
     ".gltf": lambda path: bpy.ops.export_scene.gltf(filepath=path, export_format="GLTF_SEPARATE"),
     **dict.fromkeys((".usd", ".usda", ".usdc", ".usdz"), _export_usd),
     ".fbx": lambda path: bpy.ops.export_scene.fbx(filepath=path),
+    ".tri": export_tri,
     ".blend": lambda path: bpy.ops.wm.save_as_mainfile(filepath=path),
 }
 LAST = 12
@@ -70,7 +72,7 @@ def test_every_kind_of_file_is_opened(tmp_path):
         named = head_file(f"{tmp_path / f'head{suffix}'}:Face")
         assert named == HeadFile(tmp_path / f"head{suffix}", "Face")
         open_file(named.path)
-        if suffix not in (".ply", ".stl", ".obj"):  # which hold a single mesh, or name it after its data
+        if suffix not in (".ply", ".stl", ".obj", ".tri"):  # which hold a single mesh, or name it after its data
             assert object_named(named.path, "Face").type in ("MESH", "EMPTY")
         assert any(obj.type == "MESH" and len(obj.data.vertices) > 1000 for obj in bpy.data.objects), suffix
 

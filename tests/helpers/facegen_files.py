@@ -53,3 +53,18 @@ f 1/1 2/2 3/3 4/1
 f -4/1/1 5/2/1 3/3/1
 f 1/1 2/1 5/1 3/1 4/1
 """
+
+
+def export_tri(path: str) -> None:
+    """Write the mesh of the scene with most vertices as a `.tri` without texture and morphs."""
+    import bpy
+
+    mesh = max((obj.data for obj in bpy.context.scene.objects if obj.type == "MESH"), key=lambda m: len(m.vertices))
+    corners = [tuple(polygon.vertices) for polygon in mesh.polygons]
+    triangles, quads = ([face for face in corners if len(face) == count] for count in (3, 4))
+    vertices = np.array([vertex.co[:] for vertex in mesh.vertices], np.float32)
+    upright = 1000.0 * vertices[:, [0, 2, 1]] * np.float32([1, 1, -1])
+    header = struct.pack("<14i", len(vertices), len(triangles), len(quads), *[0] * 11)
+    faces = np.array(triangles, np.int32).tobytes() + np.array(quads, np.int32).tobytes()
+    with open(path, "wb") as file:
+        file.write(b"FRTRI003" + header + upright.tobytes() + faces)

@@ -5,11 +5,22 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import EYE_CORNERS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, OUTER_EYE_CORNERS, from_ibug
+from facemime.core.face.landmarks import (
+    EYE_CORNERS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    INNER,
+    LIPS,
+    OUTER_EYE_CORNERS,
+    from_ibug,
+    lid_gaps,
+)
 from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.files.assets import ASSETS
 from facemime.core.heads.bind import MARKS, bind_landmarks
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.portrait import SIZE, Sitter
+from facemime.core.heads.facegen import read_tri
+from facemime.core.heads.portrait import SIZE, Paint, Sitter
 from facemime.core.heads.sight import look
 from facemime.core.mesh.surface import triangulate
 from facemime.core.mesh.triangles import rasterise
@@ -208,3 +219,19 @@ def test_portraits_are_grey_images_that_a_tracker_accepts():
     image = Sitter(VERTICES, HEAD.faces).portrait().image
     assert image.dtype == np.uint8 and image.shape == (SIZE, SIZE)
     assert cv2.Laplacian(image, cv2.CV_64F).std() > 1.0
+
+
+def test_a_face_is_seen_more_clearly_in_its_own_colours():
+    jane = read_tri(ASSETS / "facegen" / "Jane.tri")
+    image = cv2.imread(str(ASSETS / "facegen" / "Jane.jpg"), cv2.IMREAD_GRAYSCALE)
+    uv = np.abs(jane.uv - (0.0, 1.0)) * (np.array(image.shape[::-1]) - 1)
+    places = jane.vertices.astype(float)
+    clay, coloured = look(places, jane.faces), look(places, jane.faces, Paint(image, uv.astype(np.float32)))
+    assert coloured.painted and not clay.painted and coloured.clarity > clay.clarity
+    # The lids of a mesh of clay whose eyes are painted are seen half-way over them.
+    assert lid_gaps(coloured.points).min() > 1.5 * lid_gaps(clay.points).min()
+
+
+def test_a_mesh_without_a_face_in_its_colours_is_seen_as_of_clay():
+    grey = Paint(np.full((8, 8), 128, np.uint8), np.zeros((*HEAD.faces.shape, 2), np.float32))
+    assert look(VERTICES, HEAD.faces, grey).clarity >= look(VERTICES, HEAD.faces).clarity

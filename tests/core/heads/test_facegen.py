@@ -12,8 +12,11 @@ from hypothesis import strategies as st
 
 from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.errors import SourceError
+from facemime.core.face.names import normalised
+from facemime.core.files.assets import ASSETS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.facegen import read_egm, read_obj, read_tri
+from facemime.core.heads.key_map import best_preset, known_expressions
 from tests.helpers.facegen_files import DIFFERENCE, OBJ, QUADS, TARGETS, TRIANGLES, UVS, VERTICES, egm, tri
 
 HEAD = np.array([1, -1, -1], np.float32)
@@ -57,7 +60,7 @@ def test_a_tri_gives_its_mesh_and_its_morphs(write):
 
 def test_labels_and_texture_by_vertex_are_read(write):
     mesh = read_tri(write("head.tri", tri(labels=True, per_vertex_uv=True)))
-    assert mesh.labels == {"nose": 3}
+    assert mesh.labels == {"nose": 3, "cheek": 1}
     np.testing.assert_array_equal(mesh.uv[0, :3], UVS[TRIANGLES[0]])
     assert len(mesh.morphs) == 3
 
@@ -318,3 +321,28 @@ def test_an_index_of_many_digits_is_shortened_in_the_message(write):
     with pytest.raises(SourceError, match="line 1") as caught:
         read_obj(write("head.obj", "f 1 2 " + "9" * 3000))
     assert len(str(caught.value)) < 300
+
+
+def test_a_real_heads_labelled_points_become_the_nearest_vertices():
+    jane = read_tri(ASSETS / "facegen" / "Jane.tri")
+    assert jane.vertices.shape == (5850, 3) and len(jane.morphs) == 100
+    assert set(jane.labels) == {"Nose Tip", "Exocanthion Right", "Mouth Corner Left", "Nare Left"}
+    tip = jane.vertices[jane.labels["Nose Tip"]]
+    assert tip[2] < np.quantile(jane.vertices[:, 2], 0.02)  # the nose protrudes
+
+
+def test_a_labelled_point_on_a_face_that_does_not_exist_is_damage(tmp_path):
+    data = bytearray(tri(labels=True))
+    at = data.index(b"cheek") - 4 - 16
+    data[at : at + 4] = (99).to_bytes(4, "little")
+    (tmp_path / "head.tri").write_bytes(data)
+    with pytest.raises(SourceError, match="a labelled point with an index outside 0 to 2"):
+        read_tri(tmp_path / "head.tri")
+
+
+def test_the_morphs_of_a_real_head_are_recognised():
+    names = list(dict.fromkeys(name for name, _ in read_tri(ASSETS / "facegen" / "Jane.tri").morphs))
+    found = best_preset(names)
+    assert found.name == "FaceGen" and len(found.sources) == 51
+    assert set(names) - set(known_expressions(names)) == {"Modifier: Ears Out", "Modifier: Epicanthic Fold"}
+    assert normalised("Phoneme: R") == "r" and normalised("Modifier: Blink R") == "blinkright"

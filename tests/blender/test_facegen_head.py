@@ -1,0 +1,117 @@
+"""A real FaceGen head: Jane, who ships with the extension."""
+
+import shutil
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.characters import part_table
+from facemime.blender.heads.binding import bind_head, check_object
+from facemime.blender.heads.facegen import import_facegen
+from facemime.blender.meshes import read_landmarks, read_vertices
+from facemime.blender.names import PART_PROPERTY
+from facemime.blender.paint import read_paint
+from facemime.blender.rigs import read_rig
+from facemime.core.drive.driver import drive_take
+from facemime.core.face.landmarks import from_ibug, lid_gaps, outer_eye_distance
+from facemime.core.face.names import COEFFICIENT_INDEX
+from facemime.core.files.assets import ASSETS
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.facegen import read_tri
+from facemime.core.heads.rig import Part
+from facemime.core.puppet.performer import Performance
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.takes import make_take
+
+FOLDER = ASSETS / "facegen"
+UPPER_LIDS, LOWER_LIDS = from_ibug((37, 38, 43, 44)), from_ibug((40, 41, 46, 47))
+
+
+@pytest.fixture(scope="module")
+def mesh():
+    return read_tri(FOLDER / "Jane.tri")
+
+
+def blinking():
+    """A take of a second at rest, and one with shut eyes."""
+    head = load_head()
+    rest, blink = (
+        head.vertices[head.landmarks].astype(float),
+        [COEFFICIENT_INDEX[f"eyeBlink{s}"] for s in ("Left", "Right")],
+    )
+    shut = rest + head.units[blink][:, head.landmarks].sum(axis=0)
+    return make_take(np.stack([*[rest] * 25, *[shut] * 25]) / outer_eye_distance(rest))
+
+
+def test_she_is_added_ready_to_be_driven_with_eyes_that_turn():
+    assert bpy.ops.facemime.add_head(person="FACEGEN") == {"FINISHED"}
+    head = bpy.context.active_object
+    assert head.name == "Jane" and check_object(head) == []
+    assert {child.get(PART_PROPERTY) for child in head.children} >= {"eye_left", "eye_right"}
+    assert {part for _, part, _ in part_table(head)} == {
+        Part.SKIN,
+        Part.ON_HEAD,
+        Part.ON_SKIN,
+        Part.TEETH_UPPER,
+        Part.TEETH_LOWER,
+    }
+    rig = read_rig(head)
+    assert len(rig.eyeballs) == 2
+    take = blinking()
+    performance = Performance.of(take, PuppetSettings(neutral=0.0))
+    motion = drive_take(performance.driver(rig), performance.take)
+    gaps = lid_gaps((rig.vertices + motion.vertices[-1, : len(rig.vertices)])[rig.landmarks])
+    assert np.abs(gaps).max() < 0.07 * lid_gaps(rig.vertices[rig.landmarks]).min()
+    assert all(image.packed_file is not None for image in bpy.data.images if image.users and image.source == "FILE")
+
+
+def test_her_lids_are_found_in_her_own_colours_and_lie_where_her_blink_moves_them(mesh):
+    (head,) = import_facegen(bpy.context, [FOLDER / "Jane.tri"], beside=False)
+    assert read_paint(head) is not None
+    bind_head(head)
+    landmarks, blink = read_landmarks(head), np.zeros(len(mesh.vertices))
+    for side in ("Left", "Right"):
+        blink = np.maximum(blink, np.linalg.norm(dict(mesh.morphs)[f"Modifier: Blink {side}"], axis=1))
+    assert np.median(blink[landmarks[UPPER_LIDS]]) > 0.5 * blink.max()
+    assert blink[landmarks[LOWER_LIDS]].max() < 0.1 * blink.max()
+
+
+def test_the_points_that_her_file_labels_are_near_the_landmarks_found(mesh):
+    (head,) = import_facegen(bpy.context, [FOLDER / "Jane.tri"], beside=False)
+    bind_head(head)
+    places, landmarks = read_vertices(head.data), read_landmarks(head)
+    for label, number in (("Nose Tip", 30), ("Exocanthion Right", 36), ("Mouth Corner Left", 54)):
+        away = np.linalg.norm(places[mesh.labels[label]] - places[landmarks[from_ibug([number])[0]]])
+        assert away < 0.12 * outer_eye_distance(places[landmarks]), label
+
+
+def test_parts_and_texture_beside_a_head_are_imported_with_it(tmp_path):
+    for name in ("Jane.tri", "Jane.jpg", "Mouth.tri", "Mouth.png", "Hair.tri"):
+        shutil.copy(FOLDER / name, tmp_path / name)
+    for name, of in (
+        ("Glasses.tri", "Hair"),
+        ("MouthSmall.tri", "Mouth"),
+        ("teethUpper.tri", "Mouth"),
+        ("Other.tri", "Jane"),
+    ):
+        shutil.copy(FOLDER / f"{of}.tri", tmp_path / name)
+    assert bpy.ops.facemime.import_facegen(filepath=str(tmp_path / "Jane.tri")) == {"FINISHED"}
+    head = bpy.context.active_object
+    assert sorted(child.name for child in head.children) == ["Hair", "Mouth"]
+    images = {
+        obj.name: any(node.type == "TEX_IMAGE" for node in obj.data.materials[0].node_tree.nodes)
+        for obj in (head, *head.children)
+    }
+    assert images == {"Jane": True, "Mouth": True, "Hair": False}
+    names = [key.name for key in head.data.shape_keys.key_blocks]
+    assert len(names) == 82 and not any(name.endswith(".001") for name in names)
+
+
+def test_several_files_are_imported_at_once(tmp_path):
+    files = [{"name": name} for name in ("Hair.tri", "Jane.tri")]
+    assert bpy.ops.facemime.import_facegen(filepath=str(FOLDER / "Hair.tri"), directory=str(FOLDER), files=files) == {
+        "FINISHED"
+    }
+    assert bpy.context.active_object.name == "Jane"
+    assert [child.name for child in bpy.context.active_object.children] == ["Hair"]
