@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -66,6 +66,7 @@ pictures: setup build windows programs demo
 	$(BIN)/python -m pytest tests/gui/test_pictures.py
 	cp build/gui/pictures/*.png docs/tutorials/images
 	$(BIN)/python tools/moving_picture.py build/demo/demo.mp4 docs/images/demo.webp
+	$(BIN)/facemime puppet assets/sample/sample.mp4 --head assets/facegen/Jane.tri -o build/demo/facegen.blend --sheet docs/images/facegen.jpg
 
 # Ten minutes of puppeteering in Blender's window, to find growing memory and leftover threads.
 soak: setup build windows
@@ -220,6 +221,9 @@ coefficients: setup
 
 head: setup
 	$(BIN)/python -m lab.training.head
+
+facegen: setup
+	$(BIN)/python -m lab.training.facegen
 
 sample: setup
 	$(BIN)/python -m lab.training.sample

@@ -13,7 +13,7 @@ import bpy
 from ..blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
-from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
+from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen, without_make_up
 from ..blender.heads.family import family_of, heads_of, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
 from ..blender.heads.openings import open_eyes, open_lips
@@ -243,8 +243,11 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
 def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] | None) -> bpy.types.Object:
     """Bind the character of an object, and say how."""
     sets = [found for member in family_of(chosen) if (found := known_set(member)) is not None]
-    if by_keys is not None and any(found.sources.issuperset(by_keys) for found in sets):
+    facegen = path.suffix.lower() == TRI  # whose morphs follow a face less closely than its skin does
+    if by_keys is not None and not (by_keys and facegen) and any(found.sources.issuperset(by_keys) for found in sets):
         head = bind_keys(chosen)
+        if facegen:
+            without_make_up(head)
         tell(driven_by_its_keys(head))
         return head
     head, binding = bound_character(chosen)

@@ -106,12 +106,16 @@ class FACEMIME_OT_import_facegen(AsksForFiles, bpy.types.Operator):
         vertices = sum(len(mesh_of(obj).vertices) for obj in objects)
         head = mesh_of(objects[0])
         keys = 0 if head.shape_keys is None else len(head.shape_keys.key_blocks) - 1
-        text = (
-            "{objects} objects, {vertices} vertices, {keys} morphs"
-            if len(objects) > 1
-            else "{vertices} vertices, {keys} morphs"
+        if len(objects) == 1:
+            report(self, "{vertices} vertices, {keys} morphs", vertices=vertices, keys=keys)
+            return
+        report(
+            self,
+            "{objects} objects, {vertices} vertices, {keys} morphs",
+            objects=len(objects),
+            vertices=vertices,
+            keys=keys,
         )
-        report(self, text, objects=len(objects), vertices=vertices, keys=keys)
 
 
 class FACEMIME_OT_export_gltf(AsksForFileToWrite, bpy.types.Operator):

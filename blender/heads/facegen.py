@@ -28,7 +28,7 @@ from .openings import open_eyes
 
 MILLIMETRE = 0.001
 _JANE = ASSETS / "facegen" / "Jane.tri"
-_MADE_UP = "Jane.jpg"
+_MADE_UP = _JANE.with_suffix(".jpg")
 TRI, OBJ = ".tri", ".obj"
 _READERS = {TRI: read_tri, OBJ: read_obj}
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tga", ".tif", ".tiff")
@@ -105,13 +105,9 @@ def add_facegen(context: bpy.types.Context) -> bpy.types.Object:
         collection.objects.link(obj)
     head, _ = bind_character(objects[0])
     prepare_facegen(head)
-    for obj in objects:
-        for node in _image_nodes(obj):
-            if node.image is not None and node.image.name == _MADE_UP:
-                # Her face is found by the make-up of her lids, which would be black when they shut.
-                node.image = bpy.data.images.load(str(_JANE.with_name("Skin.jpg")), check_existing=True)
-            if node.image is not None and node.image.packed_file is None:
-                node.image.pack()  # so that a saved file does not need the extension
+    for node in (node for obj in objects for node in _image_nodes(obj)):
+        if node.image is not None and node.image.packed_file is None:
+            node.image.pack()  # so that a saved file does not need the extension
     select_alone(context, head)
     return head
 
@@ -130,7 +126,15 @@ def prepare_facegen(head: bpy.types.Object) -> bool:
         return False
     open_eyes(head)
     put_eyeballs(head)
+    without_make_up(head)
     return True
+
+
+def without_make_up(head: bpy.types.Object) -> None:
+    """Replace the texture of Jane, whose face is found by the make-up of her lids, which would be black when shut."""
+    for node in _image_nodes(head):
+        if node.image is not None and Path(bpy.path.abspath(node.image.filepath)) == _MADE_UP:
+            node.image = bpy.data.images.load(str(_MADE_UP.with_name("Skin.jpg")), check_existing=True)
 
 
 def parts_beside(path: Path) -> list[Path]:

@@ -1,6 +1,7 @@
 """A real FaceGen head: Jane, who ships with the extension."""
 
 import shutil
+from pathlib import Path
 
 import bpy
 import numpy as np
@@ -115,3 +116,12 @@ def test_several_files_are_imported_at_once(tmp_path):
     }
     assert bpy.context.active_object.name == "Jane"
     assert [child.name for child in bpy.context.active_object.children] == ["Hair"]
+
+
+def test_a_face_of_331_vertices_is_found_in_its_colours():
+    folder = Path(__file__).parents[1] / "data" / "facegen"
+    (face,) = import_facegen(bpy.context, [folder / "JaneLoresFace.tri"])
+    binding = bind_head(face)
+    points = read_vertices(face.data)[read_landmarks(face)]
+    assert binding.clarity > 0.6 and len(set(read_landmarks(face))) == 66
+    assert lid_gaps(points).min() > 0.05 * outer_eye_distance(points)
