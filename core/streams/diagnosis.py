@@ -104,8 +104,11 @@ class Diagnosis:
             return
         self._accepted += 1
         if self._accepted >= _INCOMPLETE:
-            faceless = "Packets arrive from {host}, but no face in them. Check in the app that it sends the face."
-            self._say(Message(faceless, host=address[0]), now)
+            faceless = Message(
+                "Packets arrive from {host}, but no face in them. Check in the app that it sends the face.",
+                host=address[0],
+            )
+            self._say(faceless, now)
 
     def refuse(self, error: PacketError, data: bytes, address: Address, now: float) -> None:
         """Note a packet that was not accepted, with its sender and the time in seconds on any clock."""

@@ -99,7 +99,7 @@ def read_parameters(path: Path, model: Path, fps: float, marks: Mapping[int, int
         if faces.ndim != 2 or faces.min() < 0 or faces.max() >= len(rig.rest):
             raise DataError("a face has a vertex that does not exist")
     except KeyError as error:
-        raise SourceError("{path} is no face model: it has no {name}.", path=model, name=error.args[0]) from error
+        raise SourceError("{path} is not a face model: it has no {name}.", path=model, name=error.args[0]) from error
     except (ValueError, IndexError) as error:
         raise SourceError(
             "{path} does not fit the model {model}: {error}.", path=path, model=model.name, error=error
@@ -329,7 +329,7 @@ def _check(**arrays: tuple[FloatArray, tuple[int, ...]]) -> None:
 def _check_tree(parents: IntArray) -> None:
     """Raise ValueError unless every joint but the first comes after its parent."""
     if not ((parents[1:] >= 0) & (parents[1:] < np.arange(1, len(parents)))).all():
-        raise DataError("its joints form no tree")
+        raise DataError("its joints do not form a tree")
 
 
 def _offsets(value: NDArray[Any], count: int) -> FloatArray:

@@ -107,13 +107,13 @@ def read_numbered(path: Path) -> MovingMesh:
     files = numbered_files(path)
     if len(files) < 2:
         raise SourceError(
-            "{path} is no sequence of numbered meshes, such as face_0001.obj and face_0002.obj. Choose its first file.",
+            "There are no numbered meshes at {path}, such as face_0001.obj, face_0002.obj. Choose the first of them.",
             path=path,
         )
     first = next(iter(files.values()))
     places, faces = _read(first, faces=True)
     lost = len(numbers_of(files)) - len(files)
-    note = Message("{lost} numbers are missing between the first and the last file: frames without a face.", lost=lost)
+    note = Message("Numbers without a file, which are frames without a face: {lost}", lost=lost)
     return MovingMesh(first.name, places, faces, NumberedMeshes(files, len(places)), notes=(note,) if lost else ())
 
 
