@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -215,7 +216,7 @@ def _run_import(given: Options) -> int:
     if (is_recording or is_moving) and clip:
         raise FacemimeError("A recording has no clips. Leave out --clip.")
     described = "the animation that is imported" if not is_recording else "the recording that is imported"
-    inputs = {"the model": given["model"]} | ({} if source.path.is_dir() else {described: source.path})
+    inputs = {"the model": given["model"]} | ({} if os.path.isdir(source.path) else {described: source.path})
     with outputs_of(((given["output"], {SUFFIX}),), inputs):
         if is_moving:
             marks = {point: place for point, place in given["mark"] if isinstance(place, int)}

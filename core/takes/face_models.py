@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
@@ -60,7 +61,9 @@ the lips are those of the outer ones."""
 
 def is_moving_face(path: Path) -> bool:
     """Return whether `read_moving_face` reads a file or folder: parameters, or several numbered meshes."""
-    return path.is_dir() or path.suffix.lower() in PARAMETERS or (path.is_file() and len(numbered_files(path)) > 1)
+    if os.path.isdir(path) or path.suffix.lower() in PARAMETERS:  # unlike those of Path, these never raise
+        return True
+    return os.path.isfile(path) and len(numbered_files(path)) > 1
 
 
 def read_moving_face(path: Path, fps: float, model: Path | None = None, marks: Mapping[int, int] | None = None) -> Take:

@@ -41,7 +41,13 @@ def numbered_files(path: Path, suffixes: tuple[str, ...] = SUFFIXES) -> dict[int
     if not path.is_dir() and (path.suffix.lower() not in suffixes or _NUMBERED.fullmatch(path.stem) is None):
         return {}
     found: dict[tuple[str, str], dict[int, Path]] = {}
-    for file in sorted(folder.iterdir()):
+    try:
+        content = sorted(folder.iterdir())
+    except OSError as error:
+        raise SourceError(
+            "{path} cannot be read ({reason}). Choose another file.", path=folder, reason=error.strerror
+        ) from error
+    for file in content:
         named = _NUMBERED.fullmatch(file.stem) if file.suffix.lower() in suffixes else None
         if named is not None:
             found.setdefault((named[1], file.suffix), {})[int(named[2])] = file
