@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from ..core.heads.built_in import LOOKS, eyes_of_gaze, gaze_of
 from ..core.puppet.job import HeadFile
 from ..core.streams.sender import eyes_from, turned_from
 from ..core.takes.coefficient_table import write_coefficient_csv
+from ..core.takes.face_models import FPS, is_moving_face, read_moving_face
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.mending import draw_before_after, mend
 from ..core.takes.mending_settings import BLEND, Mending
@@ -28,6 +30,7 @@ from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
 from ..core.takes.timing import punch_in, resample, shift_time, trim
+from .bind import parse_mark
 from .console import tell
 from .job_files import importing_blender, load_with_warnings, outputs_of
 from .options import Commands, Options, add_command, add_output, add_settings, filled, head_file, number
@@ -110,7 +113,8 @@ def add_commands(commands: Commands) -> None:
         type=head_file,
         metavar="RECORDING|ANIMATION[:OBJECT]",
         help="a table from export, possibly with fewer columns, or one of ARKit's coefficients from Live Link Face or "
-        "another program; Audio2Face's .json, Face Cap's .txt, OpenFace's .csv or Unity's .anim; or a file, as for "
+        "another program; Audio2Face's .json, Face Cap's .txt, OpenFace's .csv or Unity's .anim; the first of numbered "
+        ".obj or .ply meshes, or their folder; FLAME's or GNM's parameters (.npz), with --model; or a file, as for "
         "bind, in which a face moves, and any mesh of the character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
@@ -120,6 +124,18 @@ def add_commands(commands: Commands) -> None:
         choices=(AUTOMATIC, RADIANS, DEGREES),
         default=AUTOMATIC,
         help="unit of the rotation of the head in a table (decided by its values)",
+    )
+    read.add_argument(
+        "--model", type=Path, metavar="FILE", help="the model of parameters: FLAME's .pkl or .npz, or GNM's .npz"
+    )
+    read.add_argument("--fps", type=number, default=FPS, metavar="FPS", help=f"rate of meshes and parameters ({FPS:g})")
+    read.add_argument(
+        "--mark",
+        type=parse_mark,
+        action="append",
+        default=[],
+        metavar="POINT=VERTEX",
+        help="a point of the face on the first mesh or the model, as for bind, by vertex",
     )
     read.set_defaults(run=_run_import)
 
@@ -195,13 +211,21 @@ def _export_coefficients(take: Take, output: Path, columns: str, rate: float) ->
 def _run_import(given: Options) -> int:
     """Run `facemime import`: write a recording, or the motion of a face in an animation, as a take."""
     source, clip = given["source"], given["clip"]
-    is_recording = source.path.suffix.lower() in RECORDINGS
-    if is_recording and clip:
+    is_moving = is_moving_face(source.path)
+    is_recording = source.path.suffix.lower() in RECORDINGS and not is_moving
+    if (is_recording or is_moving) and clip:
         raise FacemimeError("A recording has no clips. Leave out --clip.")
-    described = "the recording that is imported" if is_recording else "the animation that is imported"
-    with outputs_of(((given["output"], {SUFFIX}),), {described: source.path}):
-        check_readable(source.path)
-        take = read_recording(source.path, given["angles"]) if is_recording else _sampled(source, clip)
+    described = "the animation that is imported" if not is_recording else "the recording that is imported"
+    inputs = {"the model": given["model"]} | ({} if os.path.isdir(source.path) else {described: source.path})
+    with outputs_of(((given["output"], {SUFFIX}),), inputs):
+        if is_moving:
+            marks = {point: place for point, place in given["mark"] if isinstance(place, int)}
+            if len(marks) < len(given["mark"]):
+                raise FacemimeError("Points of numbered meshes and models are vertices. Use --mark POINT=VERTEX.")
+            take = read_moving_face(source.path, given["fps"], given["model"], marks)
+        else:
+            check_readable(source.path)
+            take = read_recording(source.path, given["angles"]) if is_recording else _sampled(source, clip)
         save_take(take, given["output"])
     for note in take.info.get("notes", []):
         tell(f"facemime: {note}")

@@ -2,17 +2,20 @@
 
 from collections.abc import Generator
 from contextlib import closing
+from pathlib import Path
 from typing import ClassVar
 
 import bpy
 from bpy.app.translations import pgettext_rpt as _
-from bpy.props import EnumProperty, StringProperty
+from bpy.props import EnumProperty, FloatProperty, StringProperty
 
 from ..blender.animation.sampling import Sampling
 from ..core.errors import Message, SourceError
 from ..core.puppet.sources import PacedSource
+from ..core.takes.face_models import FPS, MAX_FPS, MIN_FPS, PARAMETERS, read_moving_face
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.from_video import VIDEO_CUT
+from ..core.takes.numbered_meshes import SUFFIXES as MESHES
 from ..core.takes.recordings import SUFFIXES as RECORDINGS
 from ..core.takes.recordings import read_recording
 from ..core.takes.spreadsheet import to_csv
@@ -170,12 +173,14 @@ class FACEMIME_OT_find_takes(ReportsErrors, bpy.types.Operator):
 
 
 class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
-    """Add a take from a file to the list, or a table or another program's recording as a take"""
+    """Add a take from a file to the list, or a table, another program's recording, or a moving face as a take"""
 
     bl_idname = "facemime.import_take"
     bl_label = "Import Take"
 
-    filter_glob: StringProperty(default=";".join(f"*{suffix}" for suffix in (SUFFIX, *RECORDINGS)), options={"HIDDEN"})
+    filter_glob: StringProperty(
+        default=";".join(f"*{suffix}" for suffix in (SUFFIX, *RECORDINGS, *MESHES, *PARAMETERS)), options={"HIDDEN"}
+    )
     angles: EnumProperty(
         name="Angles",
         description="Unit of the rotation of the head in a table",
@@ -185,12 +190,26 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
             (DEGREES, "Degrees", "As some other programs write them"),
         ),
     )
+    model: StringProperty(
+        name="Model",
+        description="File of the face model to which parameters belong: FLAME's .pkl, or GNM's .npz",
+        subtype="FILE_PATH",
+    )
+    fps: FloatProperty(
+        name="Frame Rate",
+        description="Rate of numbered meshes and of parameters",
+        default=FPS,
+        min=MIN_FPS,
+        max=MAX_FPS,
+    )
 
     def work(self, context: bpy.types.Context) -> None:
         """Read the file and add it to the list."""
         path = self.path
-        if path.suffix.lower() in RECORDINGS:
-            take = read_recording(path, self.angles)
+        if path.suffix.lower() in (*RECORDINGS, *MESHES, *PARAMETERS):
+            model = Path(bpy.path.abspath(self.model)) if self.model else None
+            is_moving = path.suffix.lower() not in RECORDINGS
+            take = read_moving_face(path, self.fps, model) if is_moving else read_recording(path, self.angles)
             takes_store.keep(context.scene, take, path.stem)
             _report_notes(self, take)
             return

@@ -14,8 +14,9 @@ def _add_head(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("facemime.add_head", icon="MONKEY")
 
 
-def _import_facegen(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
+def _import(menu: bpy.types.Menu, context: bpy.types.Context) -> None:
     menu.layout.operator("facemime.import_facegen")
+    menu.layout.operator("facemime.import_take", text="Face Take", text_ctxt=CONTEXT)
 
 
 _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
@@ -201,10 +202,10 @@ class _Keys:
 
 
 def register() -> None:
-    """Add the menu Facemime, the entries Add > Mesh > Facemime Head and File > Import > FaceGen Head, and shortcuts."""
+    """Add the menu Facemime, the entries of Add > Mesh and File > Import, and shortcuts."""
     bpy.types.VIEW3D_MT_editor_menus.append(_facemime)
     bpy.types.VIEW3D_MT_mesh_add.append(_add_head)
-    bpy.types.TOPBAR_MT_file_import.append(_import_facegen)
+    bpy.types.TOPBAR_MT_file_import.append(_import)
     if (configuration := bpy.context.window_manager.keyconfigs.addon) is not None:  # there is none without a window
         keymap = configuration.keymaps.new(name="3D View", space_type="VIEW_3D")
         for operator, key in _KEYS:
@@ -219,5 +220,5 @@ def unregister() -> None:
         keymap.keymap_items.remove(item)
     _Keys.added.clear()
     bpy.types.VIEW3D_MT_editor_menus.remove(_facemime)
-    bpy.types.TOPBAR_MT_file_import.remove(_import_facegen)
+    bpy.types.TOPBAR_MT_file_import.remove(_import)
     bpy.types.VIEW3D_MT_mesh_add.remove(_add_head)

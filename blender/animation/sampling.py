@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...core.bake.arkit import arkit_coefficients
 from ...core.errors import HeadError, Message
-from ...core.face.landmarks import EYE_CORNERS, N_LANDMARKS, from_ibug, outer_eye_distance
+from ...core.face.landmarks import EYE_CORNERS, N_LANDMARKS
 from ...core.face.names import COEFFICIENTS
 from ...core.heads.built_in import LOOKS
 from ...core.heads.key_map import KeyMap, best_preset, known_expressions, presets
@@ -22,6 +22,7 @@ from ...core.heads.regions import LOWER
 from ...core.heads.rig import Part, neck_of
 from ...core.numeric.arrays import FloatArray
 from ...core.takes.measured import FacePoints, PointTracker, describe_animation
+from ...core.takes.moving_mesh import anchors_of
 from ...core.takes.neutral import calibrate
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix
@@ -106,12 +107,8 @@ _CONSTRUCTIVE = {
     *("SCREW", "SKIN", "SOLIDIFY", "SUBSURF", "TRIANGULATE", "WELD", "WIREFRAME"),
 }
 """Types of modifiers that change the number of vertices but move no landmark."""
-_MAX_ANCHORS = 1000
-_REACH = 2.0
-"""Distance from the middle of the eyes within which vertices determine the pose of the head, in eye distances."""
 _LEAST_MOTION = 1e-4
 """Minimum motion of a landmark in some frame, in eye distances."""
-_NOSE_BASE = int(from_ibug([33])[0])
 _EYES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
 
 
@@ -181,12 +178,8 @@ class _Face:
         vertices, landmarks = read_vertices(mesh_of(head)).astype(np.float64), read_landmarks(head)
         points = vertices[landmarks]
         self.pivot = neck_of(points)
-        middle, reach = points[EYE_CORNERS].mean(axis=0), _REACH * outer_eye_distance(points)
-        # The skull and the brow, which no mouth moves, nor the bones of a body.
-        near = (np.linalg.norm(vertices - middle, axis=1) < reach) & (vertices[:, 1] < points[_NOSE_BASE, 1])
-        anchors = np.flatnonzero(near & (read_kinds(mesh_of(head)) == Part.SKIN))
-        chosen = np.linspace(0, len(anchors) - 1, min(_MAX_ANCHORS, len(anchors))).astype(np.intp)
-        self._skin = np.concatenate([landmarks, anchors[np.unique(chosen)]])
+        anchors = anchors_of(vertices, landmarks, read_kinds(mesh_of(head)) == Part.SKIN)
+        self._skin = np.concatenate([landmarks, anchors])
         self.trust = 1.0 - read_regions(head)[LOWER, self._skin[N_LANDMARKS:]].astype(np.float64)
         self._head = head
         self._eyes = [_eye(head, part, points) for part in _EYES]

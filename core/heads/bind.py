@@ -9,7 +9,7 @@ more flexible warps to the nearest places of the mesh that face the same way.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +18,17 @@ from ..errors import HeadError, Message, messages
 from ..face.landmarks import (
     EYE_LEFT,
     EYE_RIGHT,
+    JAW,
     LOWER_LIP,
     MIRROR,
     MOUTH_INNER_LOWER,
     MOUTH_INNER_UPPER,
     N_LANDMARKS,
+    NOSE,
     UPPER_LIP,
     from_ibug,
 )
-from ..mesh.surface import NearestPoints, SurfaceGraph, lips_joined
+from ..mesh.surface import NearestPoints, SurfaceGraph, border_twins, islands, lips_joined
 from ..numeric.arrays import FloatArray, IntArray, as_points
 from .checks import Finding, resting_findings
 from .fit_template import NOT_FOUND, fit_template
@@ -66,6 +68,10 @@ _HEAD_SHARE = 0.8
 """Share of a mesh's vertices below which its head is considered to have a body."""
 _MAX_DISTANCE = 0.1
 """Distance, in outer-eye distances, beyond which a vertex that faces the same way is not accepted for a landmark."""
+_FACE = np.concatenate([JAW, NOSE])
+"""Landmarks that lie on the skin of any face."""
+_MIN_ON_SKIN = 3
+"""Smallest number of these on a piece of a mesh that is skin."""
 _DISTINCT = 0.8
 """Share of landmarks that need a vertex of their own if a face was seen or marked. On a coarse face two landmarks of
 the lips or lids may share one."""
@@ -177,10 +183,39 @@ def bind_landmarks(
         raise HeadError("The mesh has no vertices. Choose another mesh.")
     if len(places) < N_LANDMARKS:
         raise HeadError(TOO_COARSE)
+    binding = _bound(places, np.asarray(faces), picked, paint)
+    skin = np.zeros(len(places), dtype=bool) if picked else _under_others(places, np.asarray(faces), binding.landmarks)
+    if not skin.any():
+        return binding
+    kept = np.flatnonzero(skin)
+    number = np.append(np.cumsum(skin) - 1, -1)
+    rows = skin[np.asarray(faces)[:, 0]]
+    try:
+        again = _bound(
+            places[kept], number[np.asarray(faces)[rows]], {}, None if paint is None else paint.of_faces(rows)
+        )
+    except HeadError:
+        return binding
+    return replace(again, landmarks=kept[again.landmarks], body=binding.body)
+
+
+def _under_others(places: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.bool_]:
+    """Find the skin, (V,), of a mesh on which landmarks lie on other pieces, such as a cage for clothes and hair.
+
+    Nothing is skin if all landmarks lie on it, or no piece has the jaw or the nose.
+    """
+    number = islands(len(places), faces, border_twins(places, faces))
+    count = np.bincount(number[landmarks[_FACE]], minlength=number.max() + 1)
+    skin = (count >= _MIN_ON_SKIN)[number]
+    return skin if not skin[landmarks].all() else np.zeros_like(skin)
+
+
+def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint: Paint | None) -> Binding:
+    """Find the landmarks of a head, as `bind_landmarks` does, whatever piece of the mesh they lie on."""
     # 1. to 3. Look, similarity and warps.
     template = load_template()
     try:
-        fitted = fit_template(template, places, np.asarray(faces), picked, paint)
+        fitted = fit_template(template, places, faces, picked, paint)
     except HeadError as error:
         if picked or len(places) >= _ENOUGH:
             raise
@@ -204,7 +239,7 @@ def bind_landmarks(
     if len(set(landmarks.tolist())) < (_DISTINCT if sight is not None or picked else _DISTINCT_BY_SHAPE) * N_LANDMARKS:
         raise HeadError(TOO_COARSE if sight is not None or picked or len(places) < _ENOUGH else NOT_FOUND)
     turn = rotation.T @ fitted.view.attitude
-    found = fitted.view.part[_distinct(graph, landmarks)]
+    found = fitted.view.part[_distinct(graph, landmarks, picked)]
     body = len(fitted.view.part) < _HEAD_SHARE * len(places)
     return Binding(
         landmarks=found,
@@ -317,12 +352,17 @@ def _symmetric(
     return even
 
 
-def _distinct(graph: SurfaceGraph, landmarks: IntArray) -> NDArray[np.intp]:
-    """Move landmarks that share a vertex to free neighbours, as control points have to differ."""
+def _distinct(graph: SurfaceGraph, landmarks: IntArray, picked: Mapping[int, int]) -> NDArray[np.intp]:
+    """Move landmarks that share a vertex to free neighbours, or theirs, as control points have to differ.
+
+    Marked ones stay.
+    """
     spread, used = np.array(landmarks, dtype=np.intp), set()
-    for i, vertex in enumerate(landmarks.tolist()):
+    for i, vertex in sorted(enumerate(landmarks.tolist()), key=lambda pair: pair[0] not in picked):
         if vertex in used:
-            free = [v for v in graph.neighbours(vertex) if v not in used]
+            near = graph.neighbours(vertex)
+            further = [other for neighbour in near for other in graph.neighbours(neighbour)]
+            free = [v for v in near if v not in used] or [v for v in further if v not in used]
             if not free:
                 raise HeadError(TOO_COARSE)
             spread[i] = min(free, key=lambda v: float(np.linalg.norm(graph.vertices[v] - graph.vertices[vertex])))

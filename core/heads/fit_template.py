@@ -9,7 +9,7 @@ from itertools import islice
 import numpy as np
 
 from ..errors import HeadError, Message
-from ..face.landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
+from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, MOUTH_CORNERS, N_LANDMARKS, NOSE
 from ..mesh.kernels import Warp
 from ..mesh.surface import surface_normals
 from ..numeric.arrays import FloatArray, IntArray
@@ -34,6 +34,11 @@ _SOFTNESS = np.full(N_LANDMARKS, 0.3)
 _SOFTNESS[NOSE] = 2.0
 """Allowed distance of landmarks from where they are seen, relative to that of the skin from the mesh. The nose is
 allowed more, as its shape shows where its landmarks are."""
+_ORGANS = tuple(
+    (organ, tuple(int(corner) for corner in corners))
+    for organ, corners in ((EYE_RIGHT, EYE_RIGHT[[0, 3]]), (EYE_LEFT, EYE_LEFT[[0, 3]]), (LIPS, MOUTH_CORNERS))
+)
+"""Landmarks of eyes and mouth, and their corners."""
 _EXACT = 0.002
 """Mean distance in outer-eye distances below which a mesh is the built-in head itself, whose landmarks are exact."""
 _AGREEMENT = 0.12
@@ -170,6 +175,8 @@ def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int
             sight = _seen_along(view, pose, marks)
         if sight is not None:
             guides = guides.joined(_of_sight(template, sight, marks))
+        elif marks:
+            guides = guides.joined(_of_organs(template, guides, pose, marks))
         if not marks:
             pose = similarity(guides.source, guides.target) if sight else pose_from_shape(template, surface)
         if sight and not marks:
@@ -198,6 +205,21 @@ def _seen_along(view: View, pose: Pose, marks: Mapping[int, int]) -> Sight | Non
 def _of_marks(template: Template, surface: Surface, marks: Mapping[int, int]) -> Guides:
     source = template.places[template.landmarks[list(marks)]]
     return Guides(source, surface.places[list(marks.values())], np.ones(len(source)))
+
+
+def _of_organs(template: Template, marked: Guides, pose: Pose, marks: Mapping[int, int]) -> Guides:
+    """Guide eyes and mouth to between their marked corners, in the proportions of the template."""
+    own, order = template.places[template.landmarks], list(marks)
+    guides = Guides(*(values[:0] for values in vars(marked).values()))
+    for organ, corners in _ORGANS:
+        if not set(corners) <= marks.keys():
+            continue
+        ends = marked.target[[order.index(corner) for corner in corners]]
+        size = np.linalg.norm(ends[1] - ends[0]) / np.linalg.norm(own[corners[1]] - own[corners[0]])
+        led = np.setdiff1d(organ, order)
+        target = size * (own[led] - own[list(corners)].mean(axis=0)) @ pose[1].T + ends.mean(axis=0)
+        guides = guides.joined(Guides(own[led], target, _SOFTNESS[led]))
+    return guides
 
 
 def _of_sight(template: Template, sight: Sight, marks: Mapping[int, int]) -> Guides:

@@ -14,7 +14,7 @@ from facemime.blender.rigs import read_rig
 from facemime.cli.character_files import bound_character
 from facemime.core.control_points.select import select_control_points, to_json
 from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import OUTER_EYE_CORNERS, from_ibug
+from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, OUTER_EYE_CORNERS, from_ibug
 from facemime.core.heads.bind import MARKS
 from facemime.core.takes.file import load_take, save_take
 from lab.training.data import DATA
@@ -400,3 +400,21 @@ def test_a_mesh_that_cannot_be_read_in_edit_mode_is_reported():
     bpy.ops.object.mode_set(mode="EDIT")
     with pytest.raises(RuntimeError, match="Leave Edit Mode first"):
         bpy.ops.facemime.check_head()
+
+
+@pytest.mark.parametrize("levels", [1, 2])
+def test_a_subdivided_suzanne_gets_eyes_and_mouth_where_their_corners_are_marked(levels):
+    bpy.ops.mesh.primitive_monkey_add()
+    suzanne = bpy.context.object
+    suzanne.modifiers.new("Subdivision", "SUBSURF").levels = levels
+    bpy.ops.object.modifier_apply(modifier="Subdivision")
+    marks = {36: 270, 39: 282, 42: 281, 45: 269, 30: 198, 48: 222, 54: 221, 8: 90}
+    binding.write_marks(suzanne.data, marks)
+    bind_head(suzanne)
+    points = read_vertices(suzanne.data)[read_landmarks(suzanne)]
+    for number, vertex in marks.items():
+        assert read_landmarks(suzanne)[from_ibug([number])[0]] == vertex
+    for organ, corners in ((EYE_RIGHT, (36, 39)), (EYE_LEFT, (42, 45)), (LIPS, (48, 54))):
+        ends = points[from_ibug(corners)]
+        away = np.linalg.norm(points[organ] - ends.mean(axis=0), axis=1)
+        assert away.max() < 0.75 * np.linalg.norm(np.subtract(*ends))

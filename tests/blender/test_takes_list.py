@@ -237,3 +237,16 @@ def test_baking_and_removing_a_take_are_one_undo_step_each(imported):
     bpy.ops.ed.undo()
     head = bpy.data.objects["Facemime Head"]
     assert head.data.shape_keys is None and head.animation_data is None
+
+
+def test_numbered_meshes_and_parameters_are_imported_into_the_list(takes, tmp_path):
+    assert bpy.ops.facemime.add_head() == {"FINISHED"}
+    for number in (1, 2, 3):
+        bpy.ops.wm.obj_export(filepath=str(tmp_path / f"face{number}.obj"), export_selected_objects=True)
+    path = str(tmp_path / "face1.obj")
+    assert bpy.ops.facemime.import_take(filepath=path, fps=25.0) == {"FINISHED"}
+    take = takes_store.read(takes.items[-1])
+    assert len(take) == 3 and take.found.all() and take.info["fps"] == 25.0
+    np.savez(tmp_path / "clip.npz", expr=np.zeros((2, 10)))
+    with pytest.raises(RuntimeError, match="Choose the model's file, too"):
+        bpy.ops.facemime.import_take(filepath=str(tmp_path / "clip.npz"))

