@@ -23,6 +23,9 @@ _CLOSE = 1.3
 """Half the width of a close-up, in outer-eye distances."""
 _TURNED = np.cos(np.radians(15.0))
 """Cosine of a head's rotation below which the close-up is made from in front of the face."""
+_ASIDE = np.radians(12.0)
+"""Angle from which a face is seen from both sides as well. On ICT-FaceKit's mean face and ten people of its model, 12
+and 22 degrees place lids and nose about alike, and nearer to their own landmarks than the view from in front alone."""
 _OPENING = 0.2
 """Difference, in outer-eye distances, between the depth of the mesh and that of the tracker's shape above which a ray
 counts as having passed through an opening or beside the mesh."""
@@ -72,7 +75,7 @@ def look(places: FloatArray, faces: IntArray, paint: Paint | None = None) -> Sig
     """Look for a face on a mesh from in front, and return the most certain one, or None if there is none.
 
     The viewer looks along z, and y is down. A mesh with a paint is seen as if of clay and in its colours, and the
-    clearer sight is returned. It takes 0.1 s for 12,000 faces and 0.4 s for 110,000.
+    clearer sight is returned. It takes 0.2 s for 12,000 faces and 0.6 s for 110,000.
     """
     sights = [_seen(Sitter(places, faces))]
     if paint is not None and (coloured := _seen(Sitter(places, faces, paint))) is not None:
@@ -104,15 +107,36 @@ def _found(image: NDArray[np.uint8]) -> FittedShape | None:
 
 
 def _approached(sitter: Sitter, whole: Portrait, found: FittedShape) -> Sight:
-    """Look closely at a face that was found in a portrait of the whole mesh."""
+    """Look closely at a face that was found in a portrait of the whole mesh, from in front and from both sides."""
     size, turn = float(found.pose[0]) * whole.pixel, euler_to_matrix(*found.pose[1:4]).T
     if (np.trace(turn) - 1.0) / 2.0 > _TURNED:
-        return _close_up(sitter, whole.corner + whole.pixel * found.pose[4:6], size, np.eye(3), found)
-    # A turned head is rotated back by its own pose, and then seen from in front, where the tracker is most accurate.
-    middle = whole.places(found.pose[None, 4:6])[0]
-    middle[2] = np.nan_to_num(middle[2], nan=float(sitter.places[:, 2].min()))
-    ahead = FittedShape(np.array([found.pose[0], 0.0, 0.0, 0.0, *found.pose[4:6]]), found.shape_params)
-    return _close_up(sitter, (turn @ middle)[:2], size, turn, ahead)
+        turn = np.eye(3)
+        ahead = _close_up(sitter, whole.corner + whole.pixel * found.pose[4:6], size, turn, found)
+    else:
+        # A turned head is rotated back by its own pose, and then seen from in front, where the tracker is most
+        # accurate.
+        middle = whole.places(found.pose[None, 4:6])[0]
+        middle[2] = np.nan_to_num(middle[2], nan=float(sitter.places[:, 2].min()))
+        found = FittedShape(np.array([found.pose[0], 0.0, 0.0, 0.0, *found.pose[4:6]]), found.shape_params)
+        ahead = _close_up(sitter, (turn @ middle)[:2], size, turn, found)
+    return _averaged(ahead, [_from_aside(sitter, ahead, size, turn, found, angle) for angle in (-_ASIDE, _ASIDE)])
+
+
+def _from_aside(sitter: Sitter, ahead: Sight, size: float, turn: FloatArray, found: FittedShape, angle: float) -> Sight:
+    """Look again from an angle to the side."""
+    pose, aside = found.pose.copy(), euler_to_matrix(0.0, angle, 0.0) @ turn
+    pose[2] += angle
+    centre = (aside @ ahead.points[INNER].mean(axis=0))[:2]
+    return _close_up(sitter, centre, size, aside, FittedShape(pose, found.shape_params))
+
+
+def _averaged(ahead: Sight, others: list[Sight]) -> Sight:
+    """Average the inner landmarks of the sights that are sure, weighted by certainty."""
+    sights = [ahead, *(other for other in others if other.sure)]
+    points = ahead.points.copy()
+    weights = np.stack([sight.certainty[INNER] for sight in sights])[..., None]
+    points[INNER] = (weights * np.stack([sight.points[INNER] for sight in sights])).sum(axis=0) / weights.sum(axis=0)
+    return replace(ahead, points=points)
 
 
 @cache
