@@ -53,12 +53,12 @@ def jaw_hinge(base: BaseMesh, points: Points, jaw_open: Points) -> Points:
 
 
 def build_parts(
-    base: BaseMesh, points: Points, units: list[Points], tongue_out: int, hinge: Points
+    base: BaseMesh, points: Points, units: list[Points], looks: list[Points], tongue_out: int, hinge: Points
 ) -> tuple[Part, ...]:
     """All parts of the head with base vertices `points` and face units `units`, each (N, 3) offsets; number
-    `tongue_out` puts the tongue out.
+    `tongue_out` puts the tongue out. Eyes turn as in `looks`, however far their lids follow in `units`.
     """
-    parts = [_eye(base, points, units, side) for side in ("left", "right")]
+    parts = [_eye(base, points, looks, side) for side in ("left", "right")]
     lip_line = float(points[UPPER_LIP_LINE[0], 1])
     upper, lower = _group(base, "helper-upper-teeth"), _group(base, "helper-lower-teeth")
     parts.append(_teeth("teeth_upper", points[upper], +1.0, lip_line, hinge, _rigid_units(points, units, upper)))
