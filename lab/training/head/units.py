@@ -28,8 +28,11 @@ MIXTURES: dict[str, dict[str, float]] = {
     "eyeLookUp": {"eyeLookUp": 0.6, "eyeWide": 0.42},  # A 0.45, B 0.43, C 0.70
     "eyeLookIn": {"eyeLookIn": 2.7},  # A 2.8, B 2.7, C 2.0
     "eyeLookOut": {"eyeLookOut": 2.2},  # A 2.2, B 2.2, C 2.0
-    # MakeHuman's moves one side of the jaw or mouth further than the other moves in the opposite unit; half of the
-    # difference of both moves them alike. The error relative to ICT-FaceKit's falls from 0.56 to 0.29, and 0.58 to 0.53.
+    # The upper lip rises a little from the teeth, and returns to them where the lips close over an open jaw.
+    "jawOpen": {"jawOpen": 1.0, "mouthUpperUp": 0.45},
+    "mouthClose": {"mouthClose": 1.0, "mouthUpperUp": -0.45},
+    # MakeHuman's move one side of the jaw or mouth further than the opposite unit moves the other; half of the
+    # difference of both moves them alike. Errors relative to ICT-FaceKit's fall from 0.56 to 0.29, and 0.58 to 0.53.
     "jawLeft": {"jawLeft": 0.6, "jawRight": -0.5},
     "jawRight": {"jawRight": 0.6, "jawLeft": -0.5},
     "mouthLeft": {"mouthLeft": 0.75, "mouthRight": -0.4},
@@ -43,26 +46,26 @@ MIXTURES: dict[str, dict[str, float]] = {
     "mouthUpperUp": {"mouthUpperUp": 1.3},  # ICT-FaceKit 1.46; largest motion of A 10.8 %, of ours 6.9; C 1.0
     "mouthStretch": {"mouthStretch": 1.3},  # A 1.7, B 1.7, C 0.9
     "mouthRollLower": {"mouthRollLower": 1.25},  # A 1.7, B 1.6, C 0.7
-    "mouthShrugLower": {"mouthShrugLower": 1.25},  # A 1.7, B 1.6, C 0.7
+    "mouthShrugLower": {"mouthShrugLower": 1.15},  # A 1.7, B 1.6, C 0.7
     # The cheek rises and takes the lower lid along. Error relative to ICT-FaceKit's: 0.66 to 0.6.
     "mouthSmile": {"mouthSmile": 0.92, "cheekSquint": 0.3, "mouthDimple": 0.4, "mouthPress": -0.2},
     "mouthFrown": {"mouthFrown": 0.6, "mouthStretch": 0.3, "mouthPress": -0.1},  # ICT-FaceKit: 0.68 to 0.55
     "mouthDimple": {"mouthDimple": 0.7, "mouthPress": -0.45, "mouthSmile": 0.3},  # ICT-FaceKit: 0.99 to 0.85
     "mouthPress": {"mouthPress": 0.6},  # ICT-FaceKit 0.15; ours lifts the corner like a smirk
 }
-"""Weights of MakeHuman's units in those that differ from them, by name. Names without a side stand for those of the same
-side, or of both sides in a unit that has none. All weights refer to MakeHuman's own units."""
+"""Weights of MakeHuman's units in those that differ from them, by name. Names without a side stand for those of the
+same side, or of both sides in a unit that has none. All weights refer to MakeHuman's own units."""
 
 
 SOFTENED = {"browOuterUp": 0.008}
-"""Radius in metres over which MakeHuman's unit is averaged, by name: the tail of the brow would fold. Of 4, 7, 10 and 14
-mm, 7 and 10 fit ICT-FaceKit's best."""
+"""Radius in metres over which MakeHuman's unit is averaged, by name: the tail of the brow would fold. Of 4, 7, 10 and
+14 mm, 7 and 10 fit ICT-FaceKit's best."""
 
 
 def softened(
     name: str, unit: NDArray[np.float64], points: NDArray[np.float64], skin: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
-    """A unit (N, 3) averaged over the `skin` (N,) around each of its `points` (N, 3); others are returned as they are."""
+    """A unit (N, 3) averaged over the `skin` (N,) around each of its `points` (N, 3), if it is one of `SOFTENED`."""
     radius = SOFTENED.get(_base(name)[0])
     if radius is None:
         return unit
