@@ -155,3 +155,5 @@ KEY_SETS: Mapping[str, KeySet] = {
     ),
 }
 """Sets by the name that the command line uses."""
+RESTS = frozenset(name for keys in KEY_SETS.values() for name, weights in keys.keys.items() if not weights)
+"""Keys that move nothing, as they stand for a face at rest."""

@@ -15,7 +15,7 @@ from .ribbons import Points, Shape, joined, ribbons, sideways, unit
 _SEED = 31
 _UPPER, _LOWER, _BROW = 23, 11, 84
 """Number of lashes of each lid, and of hairs of each brow."""
-_LENGTH = 0.0078
+_LENGTH = 0.0070
 """Metres; of the longest lash."""
 _BESIDE, _BEHIND = 0.005, 0.005
 """A vertex is hidden that has one this near in the front view that is so much nearer, in metres."""
@@ -64,7 +64,7 @@ def _lashes(rim: Points, eye: Points, down: float, count: int, strength: float, 
     course = 0.85 * s * outwards[:, None] + fan[:, None, None] * 0.62 * s * np.array([1.0, 0.0, 0.15])
     course = course + lift * np.array([0.0, 1.0, 0.0])
     paths = roots[:, None] - 0.0002 * outwards[:, None] + length[:, None, None] * course
-    half = (0.00036 if upper else 0.00024) * (0.75 + 0.25 * strength) * np.array([1.0, 0.85, 0.55, 0.0])
+    half = (0.00021 if upper else 0.00014) * (0.75 + 0.25 * strength) * np.array([1.0, 0.85, 0.55, 0.0])
     across = half[:, None] * aside[:, None]
     return ribbons(paths, across, np.tile(LASH_COLUMNS, (count, 1)))
 

@@ -48,7 +48,7 @@ MIXTURES: dict[str, dict[str, float]] = {
     "mouthRollLower": {"mouthRollLower": 1.25},  # A 1.7, B 1.6, C 0.7
     "mouthShrugLower": {"mouthShrugLower": 1.15},  # A 1.7, B 1.6, C 0.7
     # The cheek rises and takes the lower lid along. Error relative to ICT-FaceKit's: 0.66 to 0.6.
-    "mouthSmile": {"mouthSmile": 0.92, "cheekSquint": 0.3, "mouthDimple": 0.4, "mouthPress": -0.2},
+    "mouthSmile": {"mouthSmile": 0.92, "cheekSquint": 0.4, "mouthDimple": 0.4, "mouthPress": -0.2},
     "mouthFrown": {"mouthFrown": 0.6, "mouthStretch": 0.3, "mouthPress": -0.1},  # ICT-FaceKit: 0.68 to 0.55
     "mouthDimple": {"mouthDimple": 0.7, "mouthPress": -0.45, "mouthSmile": 0.3},  # ICT-FaceKit: 0.99 to 0.85
     "mouthPress": {"mouthPress": 0.6},  # ICT-FaceKit 0.15; ours lifts the corner like a smirk
