@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 
 from . import anatomy
 from .complexion import Complexion
+from .hair import brow_level
 from .organs import BROW_COLUMNS, LASH_COLUMNS
 from .ribbons import Points, Shape, joined, ribbons, sideways, unit
 
@@ -77,7 +78,9 @@ def _brow(vertices: Points, landmarks: NDArray[np.int64], width: float, rng: np.
     t = np.clip(rng.beta(1.15, 1.15, _BROW), 0.07, 0.97)
     across = np.clip(rng.normal(0.0, 0.48, _BROW), -1.0, 1.0)
     root = np.column_stack([np.interp(t, knots, brow[:, i]) for i in range(2)])
-    root[:, 1] += 0.0010 + across * width * np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
+    root[:, 1] += (
+        0.0010 + brow_level(t) + across * width * np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
+    )
     steep = np.interp(t, [0.0, 0.25, 0.6, 1.0], [68.0, 38.0, 12.0, -22.0]) + rng.normal(0.0, 9.0, _BROW) + across * 20.0
     length = np.interp(t, [0.0, 0.3, 0.8, 1.0], [0.0052, 0.0072, 0.0062, 0.0036]) * rng.uniform(0.75, 1.1, _BROW)
     bend = np.radians(rng.normal(-16.0, 6.0, _BROW))
