@@ -17,9 +17,9 @@ _MIDDLE, _FILLED = 0.4, 0.2
 are empty there."""
 _REACH = 0.2
 """Distance in outer-eye distances from the foremost lip to the tip of a tongue that is out."""
-_BELOW = 0.05
+_BELOW = 0.01
 """Height of that tip below the slit of the mouth, in outer-eye distances."""
-_DROOP, _TAPER = 0.09, 0.35
+_DROOP, _TAPER = 0.05, 0.35
 """Height of its middle above a straight line, in outer-eye distances, and share of its width that the tip loses."""
 
 

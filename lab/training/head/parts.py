@@ -31,7 +31,7 @@ _TONGUE_PLACE = np.array([0.0, 0.0070, 0.0080])
 between the lower teeth, below their edges, and behind them."""
 _TONGUE_ROOT = 0.0090
 """Metres by which the root dips into the throat, so that the mouth is dark above it."""
-_TONGUE_REACH, _TONGUE_LIFT, _TONGUE_DROOP, _TONGUE_TAPER = 0.017, 0.0165, 0.0075, 0.35
+_TONGUE_REACH, _TONGUE_LIFT, _TONGUE_DROOP, _TONGUE_TAPER = 0.017, 0.0185, 0.0045, 0.35
 """Metres by which a tongue that is out reaches in front of the lips, rises over the lower teeth and the lip, and droops
 at the tip; share of its width that the tip loses."""
 
