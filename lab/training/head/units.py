@@ -19,8 +19,8 @@ _WHOLE = ("jawLeft", "jawRight", "mouthLeft", "mouthRight")
 MIXTURES: dict[str, dict[str, float]] = {
     "browInnerUp": {"browInnerUp": 2.3},  # A 2.3, B 2.2, C 3.4
     # A 2.3, B 2.3 and C 1.5 of MakeHuman's; softened, which lowers its peak by half, that is 3.4, 3.4 and 2.1. The
-    # largest motion is then 13 % of the eye distance (A 13.5 %).
-    "browOuterUp": {"browOuterUp": 3.0},
+    # largest motion is then 11.5 % of the eye distance; A's is 13.5 %, ICT-FaceKit's 9.7 %.
+    "browOuterUp": {"browOuterUp": 3.3},
     "browDown": {"browDown": 0.8},  # ICT-FaceKit 0.68
     "eyeSquint": {"eyeSquint": 0.75},  # ICT-FaceKit 0.53
     "eyeWide": {"eyeWide": 0.51},  # A 0.51, B 0.47, C 0.70
@@ -38,12 +38,10 @@ MIXTURES: dict[str, dict[str, float]] = {
     "mouthLeft": {"mouthLeft": 0.75, "mouthRight": -0.4},
     "mouthRight": {"mouthRight": 0.75, "mouthLeft": -0.4},
     # MakeHuman's funnel is a diamond between corners that stay; all sets draw the corners in to an O. A 1.7, B 1.8 and
-    # C 1.3 of the former shape; the error relative to ICT-FaceKit's falls from 0.85 to 0.5.
+    # C 1.3 of the diamond; the error relative to ICT-FaceKit's falls from 0.85 to 0.5.
     "mouthFunnel": {"mouthFunnel": 0.45, "mouthPucker": 0.7, "mouthUpperUp": 0.6, "mouthLowerDown": 0.8},
-    "mouthPucker": {
-        "mouthPucker": 1.2
-    },  # ICT-FaceKit 1.22; largest motion of A 13.1 % of the eye distance, of ours 10.2
-    "mouthUpperUp": {"mouthUpperUp": 1.3},  # ICT-FaceKit 1.46; largest motion of A 10.8 %, of ours 6.9; C 1.0
+    "mouthPucker": {"mouthPucker": 1.2},  # ICT-FaceKit 1.22; largest motion of A 13.1 %, of MakeHuman's 10.2 %
+    "mouthUpperUp": {"mouthUpperUp": 1.3},  # ICT-FaceKit 1.46; largest motion of A 10.8 %, of MakeHuman's 6.9 %
     "mouthStretch": {"mouthStretch": 1.3},  # A 1.7, B 1.7, C 0.9
     "mouthRollLower": {"mouthRollLower": 1.25},  # A 1.7, B 1.6, C 0.7
     "mouthShrugLower": {"mouthShrugLower": 1.15},  # A 1.7, B 1.6, C 0.7
@@ -51,7 +49,7 @@ MIXTURES: dict[str, dict[str, float]] = {
     "mouthSmile": {"mouthSmile": 0.92, "cheekSquint": 0.4, "mouthDimple": 0.4, "mouthPress": -0.2},
     "mouthFrown": {"mouthFrown": 0.6, "mouthStretch": 0.3, "mouthPress": -0.1},  # ICT-FaceKit: 0.68 to 0.55
     "mouthDimple": {"mouthDimple": 0.7, "mouthPress": -0.45, "mouthSmile": 0.3},  # ICT-FaceKit: 0.99 to 0.85
-    "mouthPress": {"mouthPress": 0.6},  # ICT-FaceKit 0.15; ours lifts the corner like a smirk
+    "mouthPress": {"mouthPress": 0.6},  # ICT-FaceKit 0.15; MakeHuman's lifts the corner like a smirk
 }
 """Weights of MakeHuman's units in those that differ from them, by name. Names without a side stand for those of the
 same side, or of both sides in a unit that has none. All weights refer to MakeHuman's own units."""
