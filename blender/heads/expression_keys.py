@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
@@ -122,9 +122,11 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
             continue
         new = _add(member.obj, names, member.local_offsets(motions), moving)
         added = new if member.obj == obj else added
+    by_parts = dict.fromkeys(names, 0.0)
     for child in attached:
-        _add_to_part(child, keys, moving)
-    own = [quality for quality in qualities if quality.name in added]
+        for name, moved_by in _add_to_part(child, keys, moving).items():
+            by_parts[name] = max(by_parts[name], moved_by / rig.eye_distance)
+    own = [replace(q, moved=max(q.moved, by_parts[q.name])) for q in qualities if q.name in added]
     return MadeKeys(len(added), tuple(name for name in names if name not in added), own, len(shown))
 
 
@@ -177,11 +179,15 @@ def _part_of(obj: bpy.types.Object) -> HeadPart | None:
     return min(alike, key=lambda part: float(np.ptp(part.vertices - rest, axis=0).max()), default=None)
 
 
-def _add_to_part(obj: bpy.types.Object, keys: KeySet, moving: Container[str]) -> None:
-    """Add those keys of a set that move it to an eye, the teeth or the tongue of a built-in head."""
+def _add_to_part(obj: bpy.types.Object, keys: KeySet, moving: Container[str]) -> dict[str, float]:
+    """Add those keys of a set that move it to an eye, the teeth or the tongue of a built-in head.
+
+    Return the largest displacement of a vertex in each key, in metres.
+    """
     part = _part_of(obj)
     if part is None:
-        return
+        return {}
     offsets = np.einsum("ku,uvc->kvc", keys.mixtures, part.units)
     if np.abs(offsets).max() > _RESTS:
         _add(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32), moving)
+    return dict(zip(keys.names, np.linalg.norm(offsets, axis=2).max(axis=1).tolist(), strict=True))

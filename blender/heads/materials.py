@@ -23,6 +23,9 @@ _BRIGHTNESS = 0.8
 
 _WITH_ALPHA = {32, 64, 128}
 """Bits of a pixel of images with an alpha."""
+_MOUTH = "Facemime Mouth"
+_MOUTH_COLOUR = (0.035, 0.012, 0.01)
+"""Linear RGB; dark also in viewports that show materials without their images."""
 
 Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 
@@ -62,6 +65,11 @@ def plain_material(name: str, colour: tuple[float, float, float], roughness: flo
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
     shader.inputs["Roughness"].default_value = roughness
     return material
+
+
+def mouth_material() -> bpy.types.Material:
+    """Return the dark material of the inside of a mouth, which all heads share."""
+    return bpy.data.materials.get(_MOUTH) or plain_material(_MOUTH, _MOUTH_COLOUR, 1.0)
 
 
 def _tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree:

@@ -23,7 +23,7 @@ from ..meshes import mesh_of, object_of, read_faces, read_landmarks, read_vertic
 from ..names import EYES_GROUP
 from .binding import propose_head_regions
 from .cutting import close_seams, copy_moved, edited, indices, move, separate, split_along, surface_of
-from .materials import plain_material
+from .materials import mouth_material
 from .parts import current_skin
 
 _MAX_SUBDIVISIONS = 5
@@ -35,8 +35,6 @@ _LOWER_LIP = set(from_ibug((*range(55, 60), *range(65, 68))).tolist())
 _INNER = np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
 _DEPTH = 0.3
 """Depth of the pocket behind the lips, in outer-eye distances."""
-_MOUTH = "Facemime Mouth"
-_COLOUR = (0.035, 0.012, 0.01)
 
 
 def open_lips(obj: bpy.types.Object | None) -> int:
@@ -58,7 +56,7 @@ def open_lips(obj: bpy.types.Object | None) -> int:
     upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)
     if not mesh.materials:
         mesh.materials.append(None)
-    mesh.materials.append(bpy.data.materials.get(_MOUTH) or plain_material(_MOUTH, _COLOUR, 1.0))
+    mesh.materials.append(mouth_material())
     chosen = rim_landmarks(vertices[line])
     moved[MOUTH_INNER_UPPER] = upper[chosen]
     moved[MOUTH_INNER_LOWER] = lower[chosen[::-1]]

@@ -23,6 +23,7 @@ from ..heads.built_in import Head, load_head
 from ..heads.eyeballs import EyeballContact
 from ..heads.rig import HeadRig
 from ..heads.slits import SlitContact
+from ..heads.tongues import tongue_of, tongue_out
 from ..mesh.surface import NearestPoints
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
@@ -31,6 +32,7 @@ from ..takes.take import Take
 from .arkit import arkit_coefficients
 from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
 
+_TONGUE = "tongueOut"
 _STEPS = 2
 """Number of corrections of the landmarks, which the deformer meets only approximately."""
 _REACH = 0.35
@@ -67,7 +69,7 @@ def expression_keys(
     The motion of the built-in head is carried over by a warp of the landmarks. It is corrected by the deformer where
     landmarks have to meet: a lid closes by the same share of its opening as the built-in head's, and stays outside the
     eyeball; sealed lips meet; and neither lips nor lids pass through each other. Lower teeth rotate with the chin about
-    the hinge of the jaw, and eyes rotate as the built-in head's do.
+    the hinge of the jaw, eyes rotate as the built-in head's do, and a tongue that is a part reaches out of the mouth.
     """
     alone, skin = rig.skin()
     source = _Source.of(keys)
@@ -81,7 +83,11 @@ def expression_keys(
         parts.pose(rest + motion, jaw.rotation(motion[alone.landmarks]), gaze) - parts.rest
         for motion, gaze in zip(skin_motions, source.gazes, strict=True)
     ]
-    return keys.names, np.stack(poses)
+    made = np.stack(poses)
+    if (tongue := tongue_of(rig)).any():
+        amounts = keys.mixtures[:, COEFFICIENTS.index(_TONGUE), None, None]
+        made[:, tongue] += (amounts * tongue_out(rig, tongue)).astype(np.float32)
+    return keys.names, made
 
 
 @dataclass(frozen=True)

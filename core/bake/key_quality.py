@@ -21,7 +21,7 @@ from ..mesh.surface import NearestPoints, triangulate
 from ..mesh.triangles import crossing_pairs
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
-from .key_sets import CLOSES, OPENS, KeySet
+from .key_sets import CLOSES, OPENS, RESTS, KeySet
 
 _REACH = 0.2
 """Distance from the landmarks of lids and lips, in outer-eye distances, within which triangles are examined."""
@@ -85,7 +85,10 @@ def key_qualities(rig: HeadRig, keys: KeySet, motions: FloatArray) -> list[KeyQu
 
 
 def findings(qualities: Sequence[KeyQuality]) -> list[Message]:
-    """Report how well keys shut eyes and lips, and how much passes through; figures that no key has are left out."""
+    """Report how well keys shut eyes and lips, how much passes through, and which keys move nothing.
+
+    Figures that no key has are left out, and so are keys of a face at rest.
+    """
     found = []
     if eyes := [100 * q.eyes for q in qualities if not np.isnan(q.eyes)]:
         found.append(Message("Shut eyes stay open by {eyes:.1f} % at most", eyes=max(eyes)))
@@ -98,6 +101,8 @@ def findings(qualities: Sequence[KeyQuality]) -> list[Message]:
                 "{crossing} triangles at most pass through others, in {name}", crossing=worst.crossing, name=worst.name
             )
         )
+    if still := [quality.name for quality in qualities if quality.moved == 0.0 and quality.name not in RESTS]:
+        found.append(Message("Without motion: {names}", names=", ".join(still)))
     return found
 
 

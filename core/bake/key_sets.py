@@ -67,9 +67,9 @@ _LOOK: Mapping[str, Weights] = {
 }
 _JOY: Weights = {"mouthSmile": 0.8, "cheekSquint": 0.5, "eyeSquint": 0.3, "mouthUpperUp": 0.1}
 _ANGER: Weights = {"browDown": 1.0, "noseSneer": 0.5, "eyeSquint": 0.3, "mouthPress": 0.5, "mouthFrown": 0.2}
-_SORROW: Weights = {"browInnerUp": 0.9, "mouthFrown": 0.8, "mouthShrugLower": 0.2, "eyeBlink": 0.15, "eyeSquint": 0.2}
-_EASE: Weights = {"mouthSmile": 0.4, "eyeBlink": 0.35, "cheekSquint": 0.2, "browInnerUp": 0.15}
-_SURPRISE: Weights = {"browInnerUp": 0.8, "browOuterUp": 0.8, "eyeWide": 0.8, "jawOpen": 0.3, "mouthFunnel": 0.1}
+_SORROW: Weights = {"browInnerUp": 0.5, "mouthFrown": 0.8, "mouthShrugLower": 0.2, "eyeBlink": 0.15, "eyeSquint": 0.2}
+_EASE: Weights = {"mouthSmile": 0.4, "eyeBlink": 0.35, "cheekSquint": 0.2, "browInnerUp": 0.08}
+_SURPRISE: Weights = {"browInnerUp": 0.6, "browOuterUp": 0.6, "eyeWide": 1.0, "jawOpen": 0.3, "mouthFunnel": 0.1}
 _AA: Weights = {"jawOpen": 0.55, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1}
 _IH: Weights = {"jawOpen": 0.14, "mouthStretch": 0.35, "mouthSmile": 0.25, "mouthLowerDown": 0.3, "mouthUpperUp": 0.2}
 _OU: Weights = {"mouthPucker": 0.75, "mouthFunnel": 0.2, "jawOpen": 0.1}
@@ -77,7 +77,7 @@ _EE: Weights = {"jawOpen": 0.28, "mouthStretch": 0.3, "mouthSmile": 0.1, "mouthL
 _OH: Weights = {"jawOpen": 0.38, "mouthFunnel": 0.5, "mouthPucker": 0.2}
 _PP: Weights = {"mouthPress": 0.45, "mouthRollLower": 0.25, "mouthRollUpper": 0.25}
 _FF: Weights = {"mouthRollLower": 0.7, "mouthUpperUp": 0.3, "jawOpen": 0.03}
-_TH: Weights = {"jawOpen": 0.15, "tongueOut": 0.6, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1}
+_TH: Weights = {"jawOpen": 0.15, "tongueOut": 0.4, "mouthLowerDown": 0.15, "mouthUpperUp": 0.1}
 _DD: Weights = {"jawOpen": 0.1, "mouthLowerDown": 0.25, "mouthUpperUp": 0.15, "mouthStretch": 0.1}
 _KK: Weights = {"jawOpen": 0.2, "mouthLowerDown": 0.1, "mouthUpperUp": 0.1, "mouthStretch": 0.1}
 _CH: Weights = {"mouthFunnel": 0.5, "mouthShrugUpper": 0.15, "jawOpen": 0.05}
@@ -130,7 +130,7 @@ KEY_SETS: Mapping[str, KeySet] = {
         {
             "Anger": {**_ANGER, "mouthPress": 0.0, "noseSneer": 0.6, "mouthUpperUp": 0.3, "mouthLowerDown": 0.3},
             "Disgust": {"noseSneer": 0.9, "mouthUpperUp": 0.4, "browDown": 0.4, "eyeSquint": 0.4, "mouthFrown": 0.4},
-            "Fear": {"browInnerUp": 0.9, "browOuterUp": 0.3, "eyeWide": 0.7, "mouthStretch": 0.6, "jawOpen": 0.15},
+            "Fear": {"browInnerUp": 0.5, "browOuterUp": 0.2, "eyeWide": 1.0, "mouthStretch": 0.6, "jawOpen": 0.15},
             "Sad": _SORROW,
             "SmileClosed": {**_JOY, "mouthUpperUp": 0.0},
             "SmileOpen": {**_JOY, "mouthUpperUp": 0.3, "mouthLowerDown": 0.25, "jawOpen": 0.15},
@@ -155,3 +155,5 @@ KEY_SETS: Mapping[str, KeySet] = {
     ),
 }
 """Sets by the name that the command line uses."""
+RESTS = frozenset(name for keys in KEY_SETS.values() for name, weights in keys.keys.items() if not weights)
+"""Keys that move nothing, as they stand for a face at rest."""

@@ -33,6 +33,7 @@ from .ribbons import Shape
 from .skin import paint_skin
 from .source import BaseMesh, Source
 from .surface import Surface, build_surface, ear_share
+from .units import mixed, softened
 
 TO_HEAD = np.array([0.1, -0.1, -0.1])
 """From MakeHuman's decimetres (y up, z to the viewer) to the head frame's metres."""
@@ -157,8 +158,10 @@ def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
     native_landmarks = landmark_vertices(base.mirror)
     landmarks = surface.vertex_of(native_landmarks)
     names = source.unit_names()
-    units = [fit_blink(name, source.unit(name) * TO_HEAD, points, native_landmarks) for name in names]
-    hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
+    own = [fit_blink(name, source.unit(name) * TO_HEAD, points, native_landmarks) for name in names]
+    hinge = jaw_hinge(base, points, own[names.index("jawOpen")])
+    skin = np.isin(np.arange(len(points)), base.faces[base.groups == "body"])
+    units = mixed(names, [softened(name, unit, points, skin) for name, unit in zip(names, own, strict=True)])
     ear = ear_share(surface)
     lift = crop_lift(shape, ear, person.look)[:, None] * vertex_normals(shape, surface.faces)
     vertices = _symmetric(shape + lift, surface.mirror)
@@ -173,7 +176,7 @@ def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
         "units": np.stack([surface.positions(unit) for unit in units]).astype(np.float16),
         "jaw_pivot": hinge.astype(np.float32),
     }
-    for part in build_parts(base, points, units, names.index("tongueOut"), hinge):
+    for part in build_parts(base, points, units, names.index("tongueOut"), hinge, looks=own):
         arrays |= _part_arrays(part.name, Shape(part.vertices, part.faces, part.uv), part.pivot)
         arrays[f"{part.name}.units"] = part.units.astype(np.float16)
     hair = cut_hair(person.haircut, vertices, surface.faces, ear, person.look)

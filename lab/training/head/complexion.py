@@ -103,6 +103,6 @@ WOMAN = Complexion(
         ]
     ),
     hair_lift=0.0030,
-    hair_edge=(-0.0030, 0.0105),
-    comb=(1.0, 0.80, 0.10),
+    hair_edge=(-0.0005, 0.0110),
+    comb=(1.0, 0.14, 0.10),
 )

@@ -31,6 +31,16 @@ def crop(place: Image, ear: Image, look: Complexion) -> tuple[Image, Image]:
     return thin * fade(ear, 0.65, 0.25), shade
 
 
+_LEVEL = (0.0, 0.5, 1.0), (0.0022, 0.0, -0.0016)
+"""Shares of the length of a brow from its inner end, and metres by which it lies below the landmarks, which slope down
+outwards on hm08 as in a worried face."""
+
+
+def brow_level(t: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Metres by which a brow lies below its landmarks at a share `t` of its length from the inner end."""
+    return np.asarray(np.interp(t, *_LEVEL))
+
+
 def brow_strokes(view: FrontView, brow: NDArray[np.float64], width: float, rng: np.random.Generator) -> None:
     """Draw both brows.
 
@@ -43,7 +53,7 @@ def brow_strokes(view: FrontView, brow: NDArray[np.float64], width: float, rng: 
         half = width * np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
         across = np.clip(rng.normal(0.0, 0.48), -1.0, 1.0)
         root = np.array([np.interp(t, knots, brow[:, i]) for i in range(2)])
-        root += [0.0, 0.0010 + across * half]
+        root += [0.0, 0.0010 + brow_level(t) + across * half]
         steep = np.interp(t, [0.0, 0.25, 0.6, 1.0], [68.0, 38.0, 12.0, -22.0]) + rng.normal(0.0, 9.0) + across * 20.0
         angle = np.radians(steep)
         length = np.interp(t, [0.0, 0.3, 0.8, 1.0], [0.0052, 0.0072, 0.0062, 0.0036]) * rng.uniform(0.75, 1.1)

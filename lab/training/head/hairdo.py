@@ -147,12 +147,12 @@ def knot_locks(scalp: Scalp, roots: Points, look: Complexion) -> Shape:
     reached = angle[:, None] * (1.0 - s) + 0.22 * s
     aside = unit(roots - (roots @ back)[:, None] * back)
     directions = np.cos(reached)[..., None] * back + np.sin(reached)[..., None] * aside[:, None]
-    volume = (0.0012 + rng.uniform(0.0, 0.0042, (len(roots), 1))) * np.sin(np.pi * np.minimum(1.1 * s, 1.0))
+    volume = (0.0012 + rng.uniform(0.0, 0.0022, (len(roots), 1))) * np.sin(np.pi * np.minimum(1.1 * s, 1.0))
     paths = scalp.place(directions, 0.0006 + volume)
     narrow = 0.35 + 0.65 * np.sin(reached) / np.sin(np.minimum(angle, np.pi / 2))[:, None]
-    half = 0.0030 * np.array([0.12, 0.7, *[1.0] * (steps - 3), 0.0]) * np.clip(narrow, 0.3, 1.0)
+    half = 0.0030 * np.array([0.06, 0.45, 0.85, *[1.0] * (steps - 4), 0.0]) * np.clip(narrow, 0.3, 1.0)
     half = half * rng.uniform(0.7, 1.2, (len(roots), 1))
-    twist = rng.normal(0.0, 0.22, (len(roots), 1))
+    twist = rng.normal(0.0, 0.07, (len(roots), 1))
     combed = ribbons(paths, sideways(paths, scalp.normals(directions), half, twist), _columns(rng, len(roots)))
     return joined(combed, _knot(scalp.place(back, np.array(0.012)), back, rng))
 

@@ -9,13 +9,14 @@ from scipy.spatial import cKDTree
 
 from . import anatomy
 from .complexion import Complexion
+from .hair import brow_level
 from .organs import BROW_COLUMNS, LASH_COLUMNS
 from .ribbons import Points, Shape, joined, ribbons, sideways, unit
 
 _SEED = 31
 _UPPER, _LOWER, _BROW = 23, 11, 84
 """Number of lashes of each lid, and of hairs of each brow."""
-_LENGTH = 0.0078
+_LENGTH = 0.0070
 """Metres; of the longest lash."""
 _BESIDE, _BEHIND = 0.005, 0.005
 """A vertex is hidden that has one this near in the front view that is so much nearer, in metres."""
@@ -64,7 +65,7 @@ def _lashes(rim: Points, eye: Points, down: float, count: int, strength: float, 
     course = 0.85 * s * outwards[:, None] + fan[:, None, None] * 0.62 * s * np.array([1.0, 0.0, 0.15])
     course = course + lift * np.array([0.0, 1.0, 0.0])
     paths = roots[:, None] - 0.0002 * outwards[:, None] + length[:, None, None] * course
-    half = (0.00036 if upper else 0.00024) * (0.75 + 0.25 * strength) * np.array([1.0, 0.85, 0.55, 0.0])
+    half = (0.00021 if upper else 0.00014) * (0.75 + 0.25 * strength) * np.array([1.0, 0.85, 0.55, 0.0])
     across = half[:, None] * aside[:, None]
     return ribbons(paths, across, np.tile(LASH_COLUMNS, (count, 1)))
 
@@ -77,7 +78,9 @@ def _brow(vertices: Points, landmarks: NDArray[np.int64], width: float, rng: np.
     t = np.clip(rng.beta(1.15, 1.15, _BROW), 0.07, 0.97)
     across = np.clip(rng.normal(0.0, 0.48, _BROW), -1.0, 1.0)
     root = np.column_stack([np.interp(t, knots, brow[:, i]) for i in range(2)])
-    root[:, 1] += 0.0010 + across * width * np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
+    root[:, 1] += (
+        0.0010 + brow_level(t) + across * width * np.interp(t, [0.0, 0.12, 0.55, 1.0], [0.0016, 0.0031, 0.0028, 0.0006])
+    )
     steep = np.interp(t, [0.0, 0.25, 0.6, 1.0], [68.0, 38.0, 12.0, -22.0]) + rng.normal(0.0, 9.0, _BROW) + across * 20.0
     length = np.interp(t, [0.0, 0.3, 0.8, 1.0], [0.0052, 0.0072, 0.0062, 0.0036]) * rng.uniform(0.75, 1.1, _BROW)
     bend = np.radians(rng.normal(-16.0, 6.0, _BROW))

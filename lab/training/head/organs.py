@@ -58,19 +58,20 @@ def paint_teeth(count: int) -> NDArray[np.uint8]:
     gum_edge = 0.20 + 0.10 * np.abs(np.sin(np.pi * across)) ** 0.7 * -1.0 + 0.08
     gum = fade(down, gum_edge + 0.02, gum_edge - 0.02)
     mix(image, (0.70, 0.38, 0.37), gum)
-    far = fade(np.abs(u / width - 0.5), 0.16, 0.42)
-    image *= 1.0 - 0.62 * far[..., None]
+    far = fade(np.abs(u / width - 0.5), 0.14, 0.36)
+    image *= 1.0 - 0.80 * far[..., None]
     mix(image, (0.30, 0.12, 0.11), fade(down, 0.66, 0.82))
     return _finish(image)
 
 
 def paint_tongue() -> NDArray[np.uint8]:
-    """Texture of the tongue, (256, 256, 3) BGR."""
-    x, _, place = _plane((256, 256))
+    """Texture of the tongue, (256, 256, 3) BGR: the upper side, from the tip to the root, in the upper half."""
+    x, y, place = _plane((256, 256))
     image = np.empty((256, 256, 3), np.float32)
     image[:] = (0.690, 0.360, 0.350)
     image *= 1.0 + (0.07 * cloud(place, 0.03, 3, 8) + 0.05 * noise(place, 0.008, 9))[..., None]
     mix(image, (0.50, 0.22, 0.22), 0.5 * np.exp(-((x / 0.02) ** 2)))
+    mix(image, (0.13, 0.035, 0.04), fade(y, -0.36, -0.08))  # from the tip, at the top, to the root in the dark
     return _finish(image)
 
 

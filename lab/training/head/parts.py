@@ -1,7 +1,8 @@
 """Eyeballs, teeth and tongue: new shapes in the places of the base mesh's crude helpers.
 
 The helpers' motion under the face units is rigid (eyes in their sockets, lower teeth about the jaw's hinge), so it is
-fitted once for each unit and applied to the new shapes. Only the tongue keeps its helper's vertices.
+fitted once for each unit and applied to the new shapes. Only the tongue keeps its helper's vertices, and moves with the
+lower teeth.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 
 from facemime.core.face.rotation import fit_rotation
 
-from .anatomy import UPPER_LIP_LINE
+from .anatomy import UPPER_LIP_BORDER, UPPER_LIP_LINE
 from .source import BaseMesh
 
 EYE_RADIUS_SHARE = 0.985
@@ -24,11 +25,15 @@ IRIS_RADIUS = 0.0058
 _EYE_RINGS, _EYE_SEGMENTS = 15, 28
 TEETH = 14
 _STILL = 2e-5
-_TONGUE_LOWERED = np.array([0.0, 0.0065, 0.0065])
-"""The helper's tongue lies in front of the edges of the teeth; the new one rests behind the lower teeth."""
-_TONGUE_REACH, _TONGUE_ARCH = 0.018, 0.008
-"""Distances in metres by which a tongue that is out reaches further than the helper's, which hardly leaves the mouth,
-and rises over the lower lip."""
+_TONGUE_SIZE = np.array([0.70, 0.60, 0.66])
+_TONGUE_PLACE = np.array([0.0, 0.0070, 0.0080])
+"""Size relative to the helper's tongue, whose middle fills the mouth, and shift of its tip in metres: the new one lies
+between the lower teeth, below their edges, and behind them."""
+_TONGUE_ROOT = 0.0090
+"""Metres by which the root dips into the throat, so that the mouth is dark above it."""
+_TONGUE_REACH, _TONGUE_LIFT, _TONGUE_DROOP, _TONGUE_TAPER = 0.017, 0.0185, 0.0045, 0.35
+"""Metres by which a tongue that is out reaches in front of the lips, rises over the lower teeth and the lip, and droops
+at the tip; share of its width that the tip loses."""
 
 Points = NDArray[np.float64]
 
@@ -53,17 +58,23 @@ def jaw_hinge(base: BaseMesh, points: Points, jaw_open: Points) -> Points:
 
 
 def build_parts(
-    base: BaseMesh, points: Points, units: list[Points], tongue_out: int, hinge: Points
+    base: BaseMesh,
+    points: Points,
+    units: list[Points],
+    tongue_out: int,
+    hinge: Points,
+    looks: list[Points] | None = None,
 ) -> tuple[Part, ...]:
     """All parts of the head with base vertices `points` and face units `units`, each (N, 3) offsets; number
-    `tongue_out` puts the tongue out.
+    `tongue_out` puts the tongue out. Eyes turn as in the units `looks`, by default `units`.
     """
-    parts = [_eye(base, points, units, side) for side in ("left", "right")]
+    parts = [_eye(base, points, units if looks is None else looks, side) for side in ("left", "right")]
     lip_line = float(points[UPPER_LIP_LINE[0], 1])
     upper, lower = _group(base, "helper-upper-teeth"), _group(base, "helper-lower-teeth")
     parts.append(_teeth("teeth_upper", points[upper], +1.0, lip_line, hinge, _rigid_units(points, units, upper)))
-    parts.append(_teeth("teeth_lower", points[lower], -1.0, lip_line, hinge, _rigid_units(points, units, lower)))
-    parts.append(_tongue(base, points, units, tongue_out, hinge))
+    jaw = _rigid_units(points, units, lower)
+    parts.append(_teeth("teeth_lower", points[lower], -1.0, lip_line, hinge, jaw))
+    parts.append(_tongue(base, points, tongue_out, hinge, jaw))
     return tuple(parts)
 
 
@@ -147,7 +158,7 @@ def _teeth(name: str, helper: Points, down: float, lip_line: float, hinge: Point
     `down` is +1 for the upper teeth, whose edges point down (+y), and -1 for the lower.
     """
     front = helper[:, 2].min() + (0.0012 if down > 0 else 0.0040)
-    edge = lip_line + (0.0006 if down > 0 else 0.0034)
+    edge = lip_line + (0.0005 if down > 0 else 0.0036)
     columns = 6 * TEETH + 1
     s = np.linspace(-1.0, 1.0, columns)
     width, depth = (0.0265, 0.040) if down > 0 else (0.0245, 0.038)
@@ -187,19 +198,25 @@ def _grid(rows: int, columns: int, *, flip: bool) -> tuple[NDArray[np.int64], ND
     return faces, np.stack([faces % columns / (columns - 1), 1.0 - faces // columns / (rows - 1)], axis=-1)
 
 
-def _tongue(base: BaseMesh, points: Points, units: list[Points], tongue_out: int, hinge: Points) -> Part:
+def _tongue(base: BaseMesh, points: Points, tongue_out: int, hinge: Points, motion: Motion) -> Part:
     chosen = base.groups == "helper-tongue"
     rows = np.unique(base.faces[chosen])
     number = np.full(len(points), -1)
     number[rows] = np.arange(len(rows))
     uv = base.uv[base.face_uv[chosen]]
     low, high = uv.reshape(-1, 2).min(axis=0), uv.reshape(-1, 2).max(axis=0)
-    moved = np.stack([unit[rows] for unit in units])
-    # From the root, 0, to the tip, 1: out of its rest, further out, and over the lower lip.
-    depth = points[rows, 2]
-    along = ((depth.max() - depth) / np.ptp(depth))[:, None]
-    moved[tongue_out] -= along * _TONGUE_LOWERED
-    moved[tongue_out] -= along**2 * (0.0, 0.0, _TONGUE_REACH) + along * (0.0, _TONGUE_ARCH, 0.0)
-    return Part(
-        "tongue", points[rows] + _TONGUE_LOWERED, number[base.faces[chosen]], (uv - low) / (high - low), hinge, moved
+    tip = np.array([0.0, points[rows, 1].max(), points[rows, 2].min()])
+    vertices = tip + (points[rows] - tip) * _TONGUE_SIZE + _TONGUE_PLACE
+    # From the root, 0, to the tip, 1.
+    along = (vertices[:, 2].max() - vertices[:, 2]) / np.ptp(vertices[:, 2])
+    vertices[:, 1] += _TONGUE_ROOT * (1.0 - along) ** 2
+    moved = motion(vertices)
+    reach = vertices[:, 2].min() - (points[UPPER_LIP_BORDER[0], 2] - _TONGUE_REACH)
+    moved[tongue_out] = np.column_stack(
+        [
+            -_TONGUE_TAPER * vertices[:, 0] * along**6,
+            _TONGUE_DROOP * along**4 - _TONGUE_LIFT * along,
+            -reach * along**1.5,
+        ]
     )
+    return Part("tongue", vertices, number[base.faces[chosen]], (uv - low) / (high - low), hinge, moved)

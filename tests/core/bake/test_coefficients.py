@@ -237,3 +237,14 @@ def test_the_covariances_of_the_model_are_positive():
     for spread in (model.frame, model.neutral):
         assert np.linalg.eigvalsh(spread.matrix()).min() > 0.0
     assert np.linalg.eigvalsh(model.together).min() > 0.0
+
+
+def test_raised_brows_have_the_amplitude_that_phones_mean_and_other_coefficients_that_of_the_model(solver):
+    inner, rows = COEFFICIENT_INDEX["browInnerUp"], FITTED.tolist()
+    observed = load_coefficient_model().responses[rows.index(inner)] * [[0.5], [1.5]]
+    own = solver.take(observed)
+    stated = coefficients_of(observed, np.tile(AHEAD, (2, 1, 1, 1)), np.zeros((2, N_ACTIONS)))
+    brow = own[:, rows.index(inner)]
+    np.testing.assert_allclose(stated[:, inner], brow * (0.54 + 0.46 * brow))
+    others = [k for k in rows if not COEFFICIENTS[k].startswith(("browInner", "browOuter"))]
+    np.testing.assert_allclose(stated[:, others], own[:, [rows.index(k) for k in others]])

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 
 from facemime.core.bake.expression_keys import expression_keys
-from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS
+from facemime.core.bake.key_quality import findings, key_qualities
+from facemime.core.bake.key_sets import KEY_SETS
+from facemime.core.face.landmarks import LIPS, LOWER_LIDS, UPPER_LIDS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
 from facemime.core.heads.rig import Part, built_in_head
+from facemime.core.heads.tongues import tongue_of
 from tests.helpers.parted_heads import with_parts
 
 
@@ -58,3 +61,27 @@ def test_a_head_without_parts_gets_keys_too():
     names, motions = expression_keys(built_in_head())
     assert motions.shape == (len(names), len(load_head().vertices), 3)
     assert np.isfinite(motions).all()
+
+
+def test_a_tongue_that_is_a_part_leaves_the_mouth_in_its_own_key_only():
+    rig = with_parts()
+    tongue = tongue_of(rig)
+    assert tongue.sum() == len(load_head().part("tongue").vertices)
+    names, motions = expression_keys(rig)
+    lips = rig.vertices[rig.landmarks[LIPS]]
+    for name, out in (("tongueOut", True), ("mouthFunnel", False)):
+        posed = (rig.all_vertices + motions[names.index(name)])[tongue]
+        assert (posed[:, 2].min() < lips[:, 2].min() - 0.1 * rig.eye_distance) == out
+    tip = (rig.all_vertices + motions[names.index("tongueOut")])[tongue]
+    assert lips[:, 1].min() < tip[tip[:, 2].argmin(), 1] < lips[:, 1].max()
+
+
+def test_a_key_that_moves_nothing_is_named():
+    rig, keys = built_in_head(), KEY_SETS["arkit"]
+    motions = np.zeros((len(keys.names), len(rig.vertices), 3), dtype=np.float32)
+    motions[:-1, 0, 0] = 0.01 * rig.eye_distance
+    assert findings(key_qualities(rig, keys, motions))[-1] == "Without motion: tongueOut"
+    vrm = KEY_SETS["vrm"]
+    moved = np.repeat(motions[:1], len(vrm.names), axis=0)
+    moved[vrm.names.index("neutral")] = 0.0
+    assert not [line for line in findings(key_qualities(rig, vrm, moved)) if line.startswith("Without motion")]

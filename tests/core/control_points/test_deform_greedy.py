@@ -47,10 +47,10 @@ def test_the_last_step_states_the_true_worst_error_and_its_place():
     selection = greedy_select(POINTS, UNITS, tolerance=0.02)
     last = selection.steps[-1]
     assert 0 <= last.frame < len(UNITS) and last.points == len(selection.landmarks)
-    more = UNITS.copy()
-    more[last.frame] *= 2.0
     width = np.linalg.norm(POINTS[0] - POINTS[16])
-    assert np.linalg.norm(UNITS[last.frame, last.worst]) / width >= last.error / 3.0
+    # A landmark at rest is wrong where the points around it move it along.
+    around = np.linalg.norm(POINTS - POINTS[last.worst], axis=1) < 0.2 * width
+    assert np.linalg.norm(UNITS[last.frame, around], axis=1).max() / width >= last.error
 
 
 def test_a_motionless_take_keeps_one_point_per_region():

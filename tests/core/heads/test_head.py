@@ -181,6 +181,28 @@ def test_an_open_jaw_opens_the_mouth_and_lowers_chin_teeth_and_tongue(head):
     assert lowered["teeth_upper"] == lowered["eye_left"] == 0
 
 
+def test_an_open_mouth_shows_the_upper_teeth_and_the_tongue_lies_below_the_edge_of_the_lower(head):
+    inner = from_ibug([62])
+    edge = head.part("teeth_upper").vertices[:, 1].max()
+    assert head.vertices[head.landmarks[inner], 1].max() > edge - 0.001
+    assert posed(head, jawOpen=1.0)[inner, 1].max() < edge - 0.001
+    tongue, teeth = head.part("tongue").vertices, head.part("teeth_lower").vertices
+    front = teeth[:, 2] < teeth[:, 2].min() + 0.004
+    assert tongue[:, 1].min() > teeth[front, 1].min() and tongue[:, 2].min() > teeth[:, 2].min() + 0.004
+
+
+def test_a_funnel_draws_the_corners_in_and_parts_the_lips_and_a_pucker_keeps_them_shut(head):
+    rest = head.vertices[head.landmarks]
+    right, left = from_ibug([48, 54])
+    mouth = ([61, 62, 63], [67, 66, 65])
+    width = rest[left, 0] - rest[right, 0]
+    for name, parted in (("mouthFunnel", True), ("mouthPucker", False)):
+        points = posed(head, **{name: 1.0})
+        assert points[left, 0] - points[right, 0] < 0.85 * width
+        assert points[from_ibug([51, 57]), 2].max() < rest[from_ibug([51, 57]), 2].max() - 0.003
+        assert (gap(points, *mouth) > 0.06 * INTEROCULAR) == parted
+
+
 def test_a_smile_widens_the_mouth_and_lifts_its_corners(head):
     rest, points = head.vertices[head.landmarks], posed(head, mouthSmileLeft=1.0, mouthSmileRight=1.0)
     right, left = from_ibug([48, 54])
