@@ -20,24 +20,12 @@ _BLEND = 0.1
 
 
 def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
-    """Compute the displacements that each action adds to those that follow from the landmarks.
+    """Compute the displacements (15, V, 3) that each action adds to those that follow from the landmarks.
 
-    Parameters
-    ----------
-    deformer : RBFDeformer
-        The deformer of that head.
-
-    Returns
-    -------
-    (15, V, 3) float32
-        Displacements at activation 1, in the head frame and the unit of the mesh. Those of the tongue, which is not
-        part of the skin, are 0.
-
-    Notes
-    -----
     Equation 5.9: ``B_k = U_k - D(U_k)``, where U_k is the face unit of the built-in head, carried over to this head,
-    and D(U_k) is the response of the deformer to its displacements at the landmarks. Landmarks therefore stay where
-    they were tracked.
+    and D(U_k) is the response of its deformer to the displacements of U_k at the landmarks. Landmarks therefore stay
+    where they were tracked. Displacements are those at activation 1, in the head frame and the unit of the mesh; those
+    of the tongue, which is not part of the skin, are 0.
     """
     modes = transferred(_units(), rig.vertices, rig.landmarks, rig.region_weights)
     for _ in range(2):  # twice, as the deformer meets its landmarks only approximately
@@ -87,21 +75,10 @@ _MIDDLE = action_indices(name for name in ACTIONS if name.startswith(("nose", "c
 
 
 class ActionDriver:
-    """Converts tracked activations to those of an avatar.
+    """Converts tracked activations to those of an avatar; `gains` (15,) are the gains of the actions' regions.
 
-    Parameters
-    ----------
-    rest : (15,) float64
-        Activations at rest, `Neutral.actions`; NaN counts as 0.
-    shape : (66, 3) float64
-        Shape at rest, `Neutral.shape`.
-    strength : (3,) sequence of float
-        Gains of the regions upper, middle and lower.
-
-    Attributes
-    ----------
-    gains : (15,) float64
-        Gain of each action, which is that of its region.
+    `rest` (15,) are the activations at rest, `Neutral.actions`, of which NaN counts as 0, `shape` (66, 3) is
+    `Neutral.shape`, and `strength` are the gains of the regions upper, middle and lower.
     """
 
     def __init__(
@@ -115,24 +92,10 @@ class ActionDriver:
         self._begin, self._full = np.array(ranges).T
 
     def above_rest(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the activations above rest.
+        """Return the activations above rest (15,), for the actions and the shape of a `TrackResult`; NaN if unknown.
 
-        Parameters
-        ----------
-        actions : (15,) float64
-            `TrackResult.actions`.
-        shape : (66, 3) float64
-            `TrackResult.shape`.
-
-        Returns
-        -------
-        (15,) float64
-            Activations, 0 at rest; NaN if `actions` is unknown.
-
-        Notes
-        -----
-        ``u = a - a_0``, where a_0 is the activation at rest. For the brows, which have landmarks, too, it is the mean
-        of this and the evidence of the landmarks.
+        They are ``u = a - a_0``, where a_0 is the activation at rest. For the brows, which have landmarks, too, they
+        are the mean of this and the evidence of the landmarks.
         """
         above = actions - self._rest
         moved = _brow_heights(shape) - self._heights
@@ -140,23 +103,10 @@ class ActionDriver:
         return np.asarray(above)
 
     def activations(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the activations of the avatar.
+        """Return the activations (15,) of the avatar, for the actions and the shape of a `TrackResult`; 0 if unknown.
 
-        Parameters
-        ----------
-        actions, shape
-            As for `above_rest`.
-
-        Returns
-        -------
-        (15,) float64
-            Activations: 0 at rest, about 1 for a full action, times the strength of its region. All are 0 if `actions`
-            is unknown.
-
-        Notes
-        -----
-        Equation 4.6: ``min(max(u - f, 0) / (c - f), 1)``, and at most 0.6 for rolled lips, where u is `above_rest`, f
-        is where an action begins to be shown, and c where it is shown in full.
+        Equation 4.6: ``min(max(u - f, 0) / (c - f), 1)``, at most 0.6 for rolled lips, and times the strength of the
+        region. u is `above_rest`, f is where an action begins to be shown, and c where it is shown in full.
         """
         if not np.isfinite(actions).all():
             return np.zeros(N_ACTIONS)

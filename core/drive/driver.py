@@ -226,18 +226,7 @@ class HeadMotion:
 
 
 def drive_take(driver: HeadDriver, take: Take) -> HeadMotion:
-    """Drive a head by all frames of a take that have a face.
-
-    Parameters
-    ----------
-    driver : HeadDriver
-        Driver of the head.
-
-    Raises
-    ------
-    SourceError
-        If no frame has a face.
-    """
+    """Drive a head by all frames of a take that have a face; raises SourceError if none has."""
     found = np.flatnonzero(take.found)
     if len(found) == 0:
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
@@ -260,20 +249,8 @@ def drive_take(driver: HeadDriver, take: Take) -> HeadMotion:
 
 
 def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
-    """Select frames whose expressions differ most.
+    """Return at most `count` rows of `motion`, in order of time, whose expressions differ most.
 
-    Parameters
-    ----------
-    count : int
-        Largest number of frames.
-
-    Returns
-    -------
-    (n,) int
-        Rows of `motion` in order of time.
-
-    Notes
-    -----
     Farthest-point sampling (Gonzalez 1985) of the displacements of the vertices, starting with the frame that is
     farthest from rest.
     """

@@ -35,28 +35,14 @@ _MIN_EYE = 8
 
 
 class Glue:
-    """Moves points with the skin below them, as rigidly as a lash turns with its lid.
+    """Moves points (N, 3) with the skin (U, 3) below them, as rigidly as a lash turns with its lid.
 
-    Parameters
-    ----------
-    points : (N, 3) array
-        Points at rest, in the frame and unit of the skin.
-    roots : (N,) array of int
-        Point at which each is rooted in the skin: for a lash, its end at the lid; itself for a point on the skin.
-    skin : (U, 3) array
-        Vertices of the skin at rest.
-    sides : (U,) array of int
-        Side of a slit for each vertex of the skin. A root is held by the nearest side only, so that an upper lash does
-        not follow the lower lid.
-    unit : float
-        Outer-eye distance, in the unit of the skin.
-    rims : (M,) array of int, optional
-        Vertices of the skin on the rims of lids.
-    at_rim : (N,) array of bool, optional
-        Whether a point is held by `rims` alone; by default none is.
+    `roots` (N,) are the points at which each is rooted in the skin: for a lash, its end at the lid; itself for a point
+    on the skin. `sides` (U,) says on which side of a slit each vertex of the skin is: a root is held by the nearest
+    side only, so that an upper lash does not follow the lower lid. Points that are `at_rim` (N,), by default none, are
+    held only by `rims` (M,), the vertices of the skin on the rims of lids. Points and skin are at rest, in one frame
+    and unit, and `unit` is the outer-eye distance in it.
 
-    Notes
-    -----
     Let d_i be the displacements of the nearest vertices of the skin, r_i their positions relative to the weighted mean,
     and w_i weights. A point is rotated about the mean by the vector that fits best (equation 5.10),
     ``omega = (sum w_i (|r_i|^2 - r_i r_i^T))^-1 sum w_i r_i x d_i``, and moves with the mean. The length of omega is
@@ -104,13 +90,9 @@ class Glue:
     def tables(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the tables that `move` uses, for evaluation in another program.
 
-        Returns
-        -------
-        points : (N, 4) float32
-            Middle of the neighbourhood of each point, and the index of its root.
-        roots : (R, K, 3, 4) float32
-            For each neighbour of each root, the matrix from its displacement to the rotation vector; in the fourth
-            column, the vertex of the skin, its weight, and 0.
+        The first, (N, 4), holds the middle of the neighbourhood of each point, and the index of its root. The second,
+        (R, K, 3, 4), holds, for each neighbour of each root, the matrix from its displacement to the rotation vector;
+        in the fourth column, the vertex of the skin, its weight, and 0.
         """
         roots = np.zeros((*self._rows.shape, 3, 4), dtype=np.float32)
         moments = self._moments.reshape(len(roots), 6, -1, 3)
@@ -119,18 +101,7 @@ class Glue:
         return np.column_stack([self._middle, self._places]).astype(np.float32), roots
 
     def move(self, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Move the points.
-
-        Parameters
-        ----------
-        displacements : (U, 3) float32
-            Displacements of the skin, in its frame and unit.
-
-        Returns
-        -------
-        (N, 3) float32
-            Positions of the moved points.
-        """
+        """Return the moved points (N, 3), for displacements (U, 3) of the skin in its frame and unit."""
         near = displacements.take(self._rows, axis=0).reshape(len(self._rows), -1)
         moved = np.einsum("nak,nk->na", self._moments, near)
         turns = _rotations(moved[:, 3:]).take(self._places, axis=0)
@@ -174,17 +145,7 @@ def _rotations(turns: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class PartDriver:
-    """Poses all vertices of a head: those of its skin are given, and the others follow.
-
-    Parameters
-    ----------
-    rig : HeadRig
-        The head with all its parts.
-    skin : Skin
-        The skin of the head.
-    deformed : HeadRig
-        The rig of the skin alone.
-    """
+    """Poses all vertices of a head: the others follow those of its skin, whose rig alone is `deformed`."""
 
     def __init__(self, rig: HeadRig, skin: Skin, deformed: HeadRig) -> None:
         self.rest = rig.all_vertices
@@ -224,23 +185,10 @@ class PartDriver:
     def pose(
         self, skin: NDArray[np.float32], jaw: FloatArray, gaze: FloatArray, *, planar: bool = False
     ) -> NDArray[np.float32]:
-        """Pose all vertices.
+        """Return the positions (A, 3) of all vertices, as in `HeadRig.all_vertices`, for those (U, 3) of the skin.
 
-        Parameters
-        ----------
-        skin : (U, 3) float32
-            Positions of the vertices of the skin.
-        jaw : (3, 3) float64
-            Rotation of the lower teeth about the hinge of the jaw.
-        gaze : (2, 3, 3) float64
-            Rotations of the right and left eye about their centres.
-        planar : bool
-            Whether vertices that ride on the skin keep their depth.
-
-        Returns
-        -------
-        (A, 3) float32
-            Positions as in `HeadRig.all_vertices`.
+        `jaw` (3, 3) rotates the lower teeth about the hinge of the jaw, and `gaze` (2, 3, 3) the right and left eye
+        about their centres. If `planar`, vertices that ride on the skin keep their depth.
         """
         out = self.rest.copy()
         out[self._skin_rows] = skin[self._copies]

@@ -23,22 +23,7 @@ _MAX_FACTOR = 2.0
 
 
 def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:
-    """Scale and limit the angle of a rotation.
-
-    Parameters
-    ----------
-    rotation : (3, 3) float64
-        The rotation.
-    strength : float
-        Factor of the angle.
-    limit : float
-        Largest angle in radians, after the factor.
-
-    Returns
-    -------
-    (3, 3) float64
-        The rotation about the same axis.
-    """
+    """Multiply the angle of a rotation (3, 3) by `strength`, then limit it to `limit` radians, about the same axis."""
     if strength == 1.0 and limit >= pi:
         return rotation
     vector = np.array(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
@@ -46,22 +31,7 @@ def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> Float
 
 
 def limit_vector(vector: FloatArray, strength: float, limit: float) -> FloatArray:
-    """Scale a vector and limit its length.
-
-    Parameters
-    ----------
-    vector : (3,) float64
-        The vector.
-    strength : float
-        Factor of the length.
-    limit : float
-        Largest length, after the factor.
-
-    Returns
-    -------
-    (3,) float64
-        The scaled vector.
-    """
+    """Multiply a vector (3,) by `strength`, then limit its length to `limit`."""
     scaled = strength * np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(scaled))
     return np.asarray(scaled * (limit / length)) if length > limit else scaled
@@ -86,15 +56,10 @@ for the built-in head, and 0.4 to 0.5 for realistic characters."""
 class EyeDriver:
     """Rotates the eyes of an avatar by the gaze of a performer.
 
-    Shut eyes have no gaze; the avatar's eyes then keep their last direction behind the lids.
-
-    Parameters
-    ----------
-    straight : (2,) array
-        The performer's usual gaze, `Neutral.gaze`, at which the avatar looks straight ahead. NaN if a take has no gaze;
-        the eyes then stay on the viewer.
-    parallel : float
-        The performer's vergence at rest, `Neutral.vergence`. NaN if it is unknown; the eyes then stay parallel.
+    Shut eyes have no gaze; the avatar's eyes then keep their last direction behind the lids. `straight` (2,) is the
+    performer's usual gaze, `Neutral.gaze`, at which the avatar looks straight ahead; if it is NaN, as a take has no
+    gaze, the eyes stay on the viewer. `parallel` is the vergence at rest, `Neutral.vergence`; if it is NaN, the eyes
+    stay parallel.
     """
 
     def __init__(self, straight: FloatArray, parallel: float = nan) -> None:
@@ -109,21 +74,9 @@ class EyeDriver:
         self._crossed = earlier._crossed.copy()
 
     def rotations(self, gaze: FloatArray, vergence: float, head: FloatArray) -> FloatArray:
-        """Compute the rotations of the eyeballs relative to the head.
+        """Return the rotations (2, 3, 3) of the right and left eyeball for gaze and vergence of a `TrackResult`.
 
-        Parameters
-        ----------
-        gaze : (2,) float64
-            `TrackResult.gaze`.
-        vergence : float
-            `TrackResult.vergence`.
-        head : (3, 3) float64
-            Rotation of the avatar's head, which eyes that stay on the viewer compensate.
-
-        Returns
-        -------
-        (2, 3, 3) float64
-            Rotations of the right and left eyeball.
+        They are relative to the avatar's head. Eyes that stay on the viewer compensate its rotation, `head` (3, 3).
         """
         if not np.isfinite(self._straight).all():
             return np.tile(gaze_at_viewer(head), (2, 1, 1))
@@ -140,41 +93,20 @@ class EyeDriver:
 
 
 def measured_eyes(gaze: FloatArray, vergence: float) -> FloatArray:
-    """Compute the rotations of eyes whose direction was measured rather than tracked, without delay.
+    """Return the rotations (2, 3, 3) of the right and left eyeball for a measured gaze and vergence, without delay.
 
-    Parameters
-    ----------
-    gaze : (2,) float64
-        `(pitch, yaw)` from straight ahead in radians.
-    vergence : float
-        As in `TrackResult`, relative to rest, in radians; NaN counts as 0.
-
-    Returns
-    -------
-    (2, 3, 3) float64
-        Rotations of the right and left eyeball.
+    `(pitch, yaw)` are from straight ahead, the vergence is relative to rest, all in radians; NaN counts as 0.
     """
     aside = np.array([0.0, 0.5 * float(np.nan_to_num(vergence))])
     return np.stack([_rotation(np.nan_to_num(gaze) - aside), _rotation(np.nan_to_num(gaze) + aside)])
 
 
 def eye_strength(pivot: FloatArray, corners: FloatArray) -> float:
-    """Factor of the rotations of an eye that keeps its iris between the lids.
+    """Return the factor, at most 1, of the rotations of an eye that keeps its iris between the lids.
 
-    A drawn eye is flat, and turns about a point far behind it, so that angles of a real eye would move its iris out of
-    view.
-
-    Parameters
-    ----------
-    pivot : (3,) float64
-        Point about which the eye turns.
-    corners : (2, 3) float64
-        Corners of the eye, in the same frame and unit.
-
-    Returns
-    -------
-    float
-        At most 1, which realistic eyes have.
+    A drawn eye is flat, and turns about a point far behind it, so that angles of a real eye, for which it is 1, would
+    move its iris out of view. `pivot` (3,), about which the eye turns, and its `corners` (2, 3) are in one frame and
+    unit.
     """
     half_width = 0.5 * float(np.linalg.norm(corners[1] - corners[0]))
     # A point at distance d from the pivot moves by d sin(yaw).
@@ -183,10 +115,7 @@ def eye_strength(pivot: FloatArray, corners: FloatArray) -> float:
 
 
 def gaze_at_viewer(head: FloatArray) -> FloatArray:
-    """Return the rotation of the eyes, within limits, that keeps them on the viewer for a head's rotation (3, 3).
-
-    People mostly look at the screen in front of them, and fixed eyes look dead.
-    """
+    """Return the rotation, within limits, that keeps eyes on the viewer for that of a head; fixed eyes look dead."""
     return _rotation(np.clip(matrix_to_euler(head.T)[:2], -_AT_VIEWER, _AT_VIEWER))
 
 
@@ -196,32 +125,18 @@ def _rotation(gaze: FloatArray) -> FloatArray:
 
 
 class Jaw:
-    """Fits the rotation of a head's jaw.
-
-    Parameters
-    ----------
-    landmarks : (66, 3) float64
-        Landmarks at rest: head frame, unit of the mesh.
-    hinge : (3,) float64
-        A point on the axis of the jaw.
-    """
+    """Fits the rotation of a jaw about `hinge`, given the landmarks (66, 3) at rest: head frame, unit of the mesh."""
 
     def __init__(self, landmarks: FloatArray, hinge: FloatArray) -> None:
         self._chin, self._lip = landmarks[CHIN] - hinge, landmarks[LOWER_LIPS].mean(axis=0) - hinge
         self._unit = outer_eye_distance(landmarks)
 
     def rotation(self, displacements: FloatArray) -> FloatArray:
-        """Find the rotation about the hinge.
+        """Return the rotation about the hinge that fits the displacements of the chin, for those of all landmarks (66,
+        3).
 
-        Parameters
-        ----------
-        displacements : (66, 3) float64
-            Displacements of the landmarks: head frame, unit of the mesh.
-
-        Returns
-        -------
-        (3, 3) float64
-            The rotation that fits the chin, enlarged if the lower lip is further down than that would take it.
+        It is enlarged if the lower lip is further down than that would take it (equation 4.5). Displacements are in the
+        head frame and the unit of the mesh.
         """
         moved = displacements[CHIN]
         rotation = fit_rotation(self._chin, self._chin + moved)

@@ -48,35 +48,19 @@ amplify lids without bound."""
 class Retargeter:
     """Converts pose-free shapes of a performer to displacements of an avatar's landmarks.
 
-    Parameters
-    ----------
-    neutral : (66, 3) array_like
-        The performer's neutral shape: head frame, outer-eye distances.
-    head_landmarks : (66, 3) array_like
-        The avatar's landmarks at rest: head frame, unit of the avatar.
-    mode : {"3d", "planar"}
-        "planar" keeps all depths at their neutral values, as in the paper.
-    strength : (3,) array_like
-        Factors of the regions upper, middle and lower.
-    shut : float
-        `Neutral.shut`, the lid opening of the performer at which the avatar's lids meet.
-    mouth_gain : float
-        `Neutral.mouth_gain`: additional factor of the vertical motion of the lower region.
-    compensate : bool
-        Whether to compensate for the tracker's errors: it underestimates motion of the lips, and is unsure at which
-        end an eye closes first.
+    `neutral` (66, 3) is the performer's neutral shape in outer-eye distances, and `head_landmarks` (66, 3) are the
+    avatar's at rest in its own unit, both in the head frame. Mode "planar" keeps all depths at their neutral values, as
+    in the paper. `strength` (3,) holds factors of the regions upper, middle and lower; `mouth_gain`, from `Neutral`, is
+    a further factor of the vertical motion of the lower region. `shut`, from `Neutral`, is the lid opening of the
+    performer at which the avatar's lids meet. `compensate` is whether to compensate for the tracker's errors: it
+    underestimates motion of the lips, and is unsure at which end an eye closes first.
 
-    Raises
-    ------
-    SourceError, HeadError
-        If the landmarks of a region lie on one line, in the neutral face or in the avatar.
-
-    Notes
-    -----
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
     vertically (equation 4.2); landmarks of two regions take the mean. Lower lids are scaled vertically by the ratio of
     the openings of the eyes instead, and each upper lid is placed above its lower lid so that the avatar's eye is open
     by the same share as the performer's (equation 4.3): a closed eye closes the avatar's along its whole width.
+
+    Raises SourceError or HeadError if the landmarks of a region lie on one line, in the neutral face or in the avatar.
     """
 
     def __init__(
@@ -109,18 +93,7 @@ class Retargeter:
             self.scale[:, 2] = 0.0
 
     def displacements(self, shape: ArrayLike) -> FloatArray:
-        """Compute the displacements of the avatar's landmarks.
-
-        Parameters
-        ----------
-        shape : (66, 3) array_like
-            The performer's pose-free shape.
-
-        Returns
-        -------
-        (66, 3) float64
-            Displacements from rest: head frame, unit of the avatar.
-        """
+        """Return displacements (66, 3) from rest, head frame and unit of the avatar, for a performer's shape."""
         current = as_points(shape, "shape", count=N_LANDMARKS)
         away = current - self.neutral
         moved = np.asarray(self.scale * away)
@@ -128,6 +101,7 @@ class Retargeter:
         # factor: a mouth that moves as a whole would otherwise open.
         for upper, lower in _FACING_LIPS:
             moved[lower, 1] += (self.scale[upper, 1] - self.scale[lower, 1]) * away[upper, 1]
+        # Equation 4.3: each upper lid moves with its lower one, and closes by its share of the opening.
         moved[UPPER_LIDS, 1] = moved[LOWER_LIDS, 1] + self._lid_strength * self._lids.closing(current)
         for upper, lower in _MEETING_RIMS:
             _keep_apart(moved, upper, lower, self._rest_heights)
@@ -137,16 +111,7 @@ class Retargeter:
 class _Lids:
     """By how much the pairs of an avatar's lids close (equation 4.3).
 
-    Parameters
-    ----------
-    neutral : (66, 3) array
-        The performer's neutral shape.
-    head : (66, 3) array
-        The avatar's landmarks at rest.
-    shut : float
-        Share of the neutral opening at which the performer's lids are taken to meet.
-    compensate : bool
-        As for `Retargeter`.
+    `shut` is the share of the neutral opening at which the performer's lids are taken to meet.
     """
 
     def __init__(self, neutral: FloatArray, head: FloatArray, shut: float, *, compensate: bool) -> None:
@@ -173,24 +138,7 @@ def _least(points: FloatArray) -> FloatArray:
 def retargeter_for(
     neutral: Neutral, head_landmarks: ArrayLike, *, mode: Mode = "3d", strength: ArrayLike = (1.0, 1.0, 1.0)
 ) -> Retargeter:
-    """Create a retargeter from all that a neutral face contains.
-
-    Parameters
-    ----------
-    neutral : Neutral
-        The performer's neutral face.
-    head_landmarks : (66, 3) array_like
-        As for `Retargeter`.
-    mode : {"3d", "planar"}
-        As for `Retargeter`.
-    strength : (3,) array_like
-        As for `Retargeter`.
-
-    Returns
-    -------
-    Retargeter
-        The retargeter.
-    """
+    """Create a `Retargeter` from all that a neutral face contains; the other arguments are as for the class."""
     gain = neutral.mouth_gain
     return Retargeter(
         neutral.shape,

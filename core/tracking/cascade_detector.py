@@ -187,23 +187,9 @@ class CascadeDetector:
         return cascades
 
     def boxes(self, grey: NDArray[np.uint8], step: Step) -> list[FaceBox]:
-        """Detect boxes that may contain faces.
+        """Detect boxes that may contain faces in a grey image (H, W), the largest first.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        step : Step
-            The step to make.
-
-        Returns
-        -------
-        list of FaceBox
-            The boxes, the largest first.
-
-        Notes
-        -----
-        A whole effort takes 2 to 110 ms. The first effort finds most faces.
+        A whole effort takes 2 to 110 ms. The first one finds most faces.
         """
         plain, factor = _shrink(grey, _SIDES.get(step.effort, _QUICK_SIDE))
         if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(step.effort, 0):

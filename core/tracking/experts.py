@@ -73,15 +73,7 @@ class ResponseMaps:
         return place.astype(np.float64), (self.stride[:, 0] ** 2 * variance).astype(np.float64)
 
     def replaced(self, other: ResponseMaps, chosen: NDArray[np.bool_]) -> ResponseMaps:
-        """Return these maps with some replaced by those of other maps of the same landmarks and size.
-
-        Parameters
-        ----------
-        other : ResponseMaps
-            Source of the replacements.
-        chosen : (n,) bool
-            Which maps to replace.
-        """
+        """Return these maps with those that are `chosen` (n,) replaced by other ones of the same landmarks and size."""
         return ResponseMaps(
             self.landmarks,
             np.where(chosen[:, None, None], other.likelihood, self.likelihood),
@@ -90,25 +82,11 @@ class ResponseMaps:
         )
 
     def shifts(self, places: FloatArray, variance: float) -> FloatArray:
-        """Mean-shift vectors of landmarks (equation 3.3).
+        """Return the mean-shift vectors (n, 2) of landmarks at `places` (n, 2) in the frame of the maps (equation 3.3).
 
-        Parameters
-        ----------
-        places : (n, 2) float64
-            Current positions of the landmarks, in the frame of the maps.
-        variance : float
-            `rho` of equation 3.3, the variance of the Gaussian about each landmark, in squared units of that frame;
-            infinity gives the shift to the mean of the map.
-
-        Returns
-        -------
-        (n, 2) float64
-            Vectors from `places` to the weighted mean of each map.
-
-        Notes
-        -----
-        The Gaussian is separable, so the weights ``w_i(y) = pi_i(y) N(y; x_i, rho I)`` are never formed (Saragih et al.
-        2011, equation 20).
+        `variance` is `rho`, that of the Gaussian about each landmark, in squared units of that frame; infinity gives
+        the shift to the mean of the map. The Gaussian is separable, so the weights
+        ``w_i(y) = pi_i(y) N(y; x_i, rho I)`` are never formed (Saragih et al. 2011, equation 20).
         """
         if variance == inf:
             return self.moments[0] - places
@@ -149,20 +127,7 @@ def _powers(width: int, height: int) -> NDArray[np.float32]:
 
 
 def standardise(crop: NDArray[np.uint8], floor: float) -> NDArray[np.float32]:
-    """Standardise a crop to mean 0 and about unit contrast.
-
-    Parameters
-    ----------
-    crop : (H, W) uint8
-        Grey crop.
-    floor : float
-        Grey levels added to its standard deviation.
-
-    Returns
-    -------
-    (H, W) float32
-        The standardised crop.
-    """
+    """Standardise a grey crop to mean 0 and about unit contrast; `floor` grey levels are added to its deviation."""
     mean, deviation = cv2.meanStdDev(crop)
     out: NDArray[np.float32] = np.subtract(crop, np.float32(mean[0, 0]), dtype=np.float32)
     out *= np.float32(1.0 / (deviation[0, 0] + floor))
@@ -170,54 +135,17 @@ def standardise(crop: NDArray[np.uint8], floor: float) -> NDArray[np.float32]:
 
 
 def crop_face(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
-    """Crop the input of the experts of the whole face.
-
-    Parameters
-    ----------
-    grey, pose, scale
-        As for `warp_to_reference`.
-    size : int
-        Side of the crop in pixels.
-
-    Returns
-    -------
-    (size, size) float32
-        The standardised crop.
-    """
+    """Crop the standardised input (size, size) of the experts of the whole face, as `warp_to_reference` does."""
     return standardise(warp_to_reference(grey, pose, scale, (size, size)).pixels, _FACE_FLOOR)
 
 
 def crop_part(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
-    """Crop the input of the experts of a part.
-
-    Parameters
-    ----------
-    grey, pose, scale, size
-        As for `warp_to_reference`; the translation of the pose is the centre of the part.
-
-    Returns
-    -------
-    (height, width) float32
-        The standardised crop.
-    """
+    """Crop the standardised input (height, width) of the experts of a part, centred on the translation of `pose`."""
     return standardise(warp_to_reference(grey, pose, scale, size).pixels, _PART_FLOOR)
 
 
 def first_cell(size: int, stride: int) -> float:
-    """Position of the first cell of the maps along a side, relative to the centre of the crop.
-
-    Parameters
-    ----------
-    size : int
-        Side of the crop in pixels.
-    stride : int
-        Pixels per cell.
-
-    Returns
-    -------
-    float
-        Position in pixels; negative.
-    """
+    """Position in pixels, from the centre of a crop, of the first cell of `stride` pixels along a side of `size`."""
     return (stride - 1) / 2.0 - (size - 1) / 2.0
 
 
@@ -248,22 +176,7 @@ class FaceExperts:
     size: int
 
     def respond(self, grey: NDArray[np.uint8], pose: FloatArray) -> tuple[ResponseMaps, float]:
-        """Compute the response maps of all landmarks.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        pose : (6,) float64
-            Approximate pose of the face, in the image frame.
-
-        Returns
-        -------
-        ResponseMaps
-            Maps in the face frame of `pose`.
-        float
-            Log odds that there is a face at about that pose.
-        """
+        """Return the maps of all landmarks in the face frame of an approximate pose, and the log odds of a face."""
         maps, face = self.network(crop_face(grey, pose, self.scale, self.size)[None])
         return ResponseMaps(_ALL, _likelihood(maps[0]), self._corner, self._stride), float(face.mean())
 
@@ -307,20 +220,7 @@ class FacePart:
         return sides
 
     def crops(self, grey: NDArray[np.uint8], poses: Iterable[FloatArray]) -> NDArray[np.float32]:
-        """Crop the network's input for each side.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        poses : iterable of (6,) float64
-            Pose of each side, as for `crop_part`.
-
-        Returns
-        -------
-        (1 or 2, height, width) float32
-            The standardised crops.
-        """
+        """Crop the standardised input (1 or 2, height, width) for each side, given its pose (6,) as for `crop_part`."""
         crops = np.empty((len(self.sides), *self.size[::-1]), np.float32)
         for crop, pose in zip(crops, poses, strict=True):
             crop[...] = crop_part(grey, pose, self.scale, self.size)
@@ -361,21 +261,10 @@ class PartExperts(FacePart):
     def respond(
         self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray, *, higher: float = 0.0
     ) -> ResponseMaps:
-        """Compute the response maps of the landmarks of the part.
+        """Return the maps of the landmarks of the part around their approximate positions in `shape` (66, 2).
 
-        Parameters
-        ----------
-        grey, pose
-            As for `FaceExperts.respond`.
-        shape : (66, 2) float64
-            Approximate landmarks, in the face frame of `pose`.
-        higher : float
-            How far above these landmarks the crop lies, in outer-eye distances.
-
-        Returns
-        -------
-        ResponseMaps
-            Maps in the face frame of `pose`, around these landmarks.
+        Maps and shape are in the face frame of `pose` (6,); the crop lies `higher` outer-eye distances above that
+        shape.
         """
         centres = self._averages @ shape - (0.0, higher)
         (maps,) = self.network(self.crops(grey, (translate_pose(pose, *centre) for centre in centres.tolist())))

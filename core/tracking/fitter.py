@@ -85,13 +85,7 @@ class Fit:
 
 
 class FaceFitter:
-    """Fits the shape model to frames.
-
-    Parameters
-    ----------
-    timings : dict of str to float
-        Seconds spent in the stages "experts", "fit" and "check" are added to it.
-    """
+    """Fits the shape model to frames; seconds spent in "experts", "fit" and "check" are added to `timings`."""
 
     def __init__(self, model: TrackerModel, timings: dict[str, float]) -> None:
         self._model, self._timings = model, timings
@@ -110,21 +104,9 @@ class FaceFitter:
         self._face_weight = np.where(in_parts, 0.1, 0.4)
 
     def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
-        """Fit a face from a given start.
+        """Fit a face from `start`, in the image frame, by stages such as `REFINED` or `DETECTED`.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        start : FittedShape
-            Start of the fit, in the image frame.
-        stages : tuple of Stage
-            `COARSE`, `REFINED` or `DETECTED`. If the last stage uses parts, edges are refined at the end.
-
-        Returns
-        -------
-        Fit
-            The fit, in the image frame.
+        If the last stage uses parts, edges are refined at the end.
         """
         out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
         for stage in stages:
@@ -132,20 +114,7 @@ class FaceFitter:
         return self._refine_edges(grey, out) if stages[-1].parts else out
 
     def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Fit:
-        """Fit a face from its position in the previous frame, in one stage, or two if a part has moved far.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        last : FittedShape
-            Fit of the previous frame, in the image frame.
-
-        Returns
-        -------
-        Fit
-            The fit, in the image frame.
-        """
+        """Fit a face from its fit in the previous frame, in one stage, or two if a part has moved far."""
         fit = self._fit_stage(grey, last, FINE)
         if self._moved_far(last, fit.fitted):
             fit = self._fit_stage(grey, fit.fitted, FINE)

@@ -61,27 +61,11 @@ class Gaze:
 
 
 def find_gaze(grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> Gaze:
-    """Find the pupils and the gaze of a tracked face.
+    """Find the pupils and the gaze of a tracked face; both are NaN for shut eyes.
 
-    Parameters
-    ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Pose of the face, as in `TrackResult`.
-    landmarks : (66, 2) float64
-        Landmarks in pixels.
-    shape : (66, 3) float64
-        Landmarks without the pose: head frame, outer-eye distances.
-
-    Returns
-    -------
-    Gaze
-        Pupils and gaze; NaN for shut eyes.
-
-    Notes
-    -----
-    The direction is the mean over the open eyes, weighted by their visible areas.
+    `pose` (6,) is as in `TrackResult`, `landmarks` (66, 2) are in pixels, and `shape` (66, 3) holds them without the
+    pose: head frame, outer-eye distances. The direction is the mean over the open eyes, weighted by their visible
+    areas.
     """
     pupils = np.full((2, 2), np.nan)
     outlines = landmarks[_EYES]

@@ -66,25 +66,11 @@ LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
 
 
 def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
-    """Describe the appearance of a fitted face, for comparison within one video.
+    """Describe the appearance of a face at `pose` (6,) by a vector (400,) of length 1, to compare it within one video.
 
-    Parameters
-    ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Fitted pose, in the image frame.
-
-    Returns
-    -------
-    (400,) float32
-        Descriptor of length 1. The inner product of two descriptors is their similarity: about 0.97 from one second to
-        the next for one person, 0.85 across a change of expression, 0.7 between people.
-
-    Notes
-    -----
-    A coarse histogram of gradients (Dalal & Triggs 2005): slopes up, down, left and right, averaged over cells and
-    normalised per cell. It takes 0.04 ms.
+    The inner product of two descriptors is their similarity: about 0.97 from one second to the next for one person,
+    0.85 across a change of expression, 0.7 between people. It is a coarse histogram of gradients (Dalal & Triggs 2005):
+    slopes up, down, left and right, averaged over cells and normalised per cell. It takes 0.04 ms.
     """
     # Slopes in four directions within the oval.
     crop = warp_to_reference(grey, pose, _SCALE, (_SIDE, _SIDE)).pixels
@@ -143,13 +129,7 @@ class _Bystander:
 
 @dataclass
 class PerformerIdentity:
-    """Appearance of the performer and of bystanders.
-
-    Attributes
-    ----------
-    frame : int
-        Number of the current frame, incremented by the owner.
-    """
+    """Appearance of the performer and of bystanders; the owner increments `frame`, the number of the current frame."""
 
     frame: int = 0
     _own: NDArray[np.float32] | None = None
@@ -192,15 +172,7 @@ class PerformerIdentity:
         self._unusual += 1
 
     def update_bystander(self, descriptor: NDArray[np.float32], pose: FloatArray) -> None:
-        """Remember a face as a bystander's: the one at that place, else one that looks alike, else a new one.
-
-        Parameters
-        ----------
-        descriptor : (400,) float32
-            Descriptor from `describe_face`.
-        pose : (6,) float64
-            Pose in the image frame.
-        """
+        """Remember a face as that of the bystander at `pose` (6,), else of one who looks alike, else of a new one."""
         # Place before looks: a bystander who turns away looks different, but does not jump.
         there = [other for other in self._bystanders if other.continues(pose, self.frame)]
         alike = [other for other in self._bystanders if float(other.descriptor @ descriptor) > _SAME_BYSTANDER]
@@ -212,22 +184,10 @@ class PerformerIdentity:
             self._bystanders = [*self._bystanders, _Bystander(descriptor, pose, self.frame)][-_MAX_BYSTANDERS:]
 
     def candidates(self, descriptors: Sequence[NDArray[np.float32]], poses: Sequence[FloatArray]) -> list[int]:
-        """Select the faces in view that may be the performer's, and update bystanders who are still present.
+        """Return the indices of faces in view that may be the performer's, and update bystanders who are still present.
 
         Such a face is more similar to the performer than to anybody else, or about as similar and in a place where
-        nobody else was.
-
-        Parameters
-        ----------
-        descriptors : sequence of (400,) float32
-            Descriptors of the faces in view.
-        poses : sequence of (6,) float64
-            Their poses, in the image frame.
-
-        Returns
-        -------
-        list of int
-            Indices into `descriptors`.
+        nobody else was. Poses (6,) are in the image frame.
         """
         own = []
         for i, (descriptor, pose) in enumerate(zip(descriptors, poses, strict=True)):
@@ -252,10 +212,7 @@ _OVAL = _oval()
 class FaceChoice:
     """Chooses the requested face; else the lost face, while it is awaited; else the largest.
 
-    Attributes
-    ----------
-    misses : int
-        Frames since the face was last found.
+    `misses` are the frames since the face was last found.
     """
 
     def __init__(self) -> None:
@@ -269,13 +226,7 @@ class FaceChoice:
         return self._requested is not None or self._lost is not None
 
     def request(self, x: float, y: float) -> None:
-        """Choose the face nearest to a point as soon as one is found.
-
-        Parameters
-        ----------
-        x, y : float
-            Position in pixels.
-        """
+        """Choose the face nearest to a point, in pixels, as soon as one is found."""
         self._requested = np.array([x, y], np.float64)
 
     def wait_for(self, last: FittedShape) -> None:
@@ -290,21 +241,9 @@ class FaceChoice:
     def pick(
         self, grey: NDArray[np.uint8], candidates: Sequence[Candidate], identity: PerformerIdentity
     ) -> Candidate | None:
-        """Choose the face to track. Resets `identity` if that may be anybody's.
+        """Choose the face to track among those found in an image; None if none qualifies.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            The image in which the candidates were found.
-        candidates : sequence of Candidate
-            The faces in view.
-        identity : PerformerIdentity
-            Identity of the lost performer.
-
-        Returns
-        -------
-        Candidate or None
-            The face; None if no candidate qualifies.
+        Resets `identity`, which is that of the lost performer, if the face may be anybody's.
         """
         if self._requested is not None and candidates:
             x, y = self._requested

@@ -20,8 +20,6 @@ class Evidence:
 
     Attributes
     ----------
-    maps : ResponseMaps
-        The maps.
     weights : (n,) float64
         Diagonal of `W` in equation 3.4.
     coarse : bool
@@ -60,30 +58,13 @@ class MeanShiftOptions:
 def regularised_mean_shift(
     model: PointDistributionModel, start: FittedShape, evidence: Sequence[Evidence], options: MeanShiftOptions
 ) -> FittedShape:
-    """Fit pose and shape to response maps.
+    """Fit pose and shape to response maps, in whose frame `start` and the result are.
 
-    Parameters
-    ----------
-    model : PointDistributionModel
-        The shape model.
-    start : FittedShape
-        Start of the fit, in the frame of the maps.
-    evidence : sequence of Evidence
-        The maps. A landmark may have several, or none.
-    options : MeanShiftOptions
-        Settings of the fit.
-
-    Returns
-    -------
-    FittedShape
-        The fit, in the frame of the maps; shape parameters are clamped to five standard deviations.
-
-    Notes
-    -----
-    Each iteration updates the parameters by ``dp = -(r L + J^T W J)^-1 (r L p - J^T W v)`` with ``L = diag(0, 1 /
-    lambda)`` (Saragih et al. 2011, equation 22). Maps and Jacobian are those of the start, and the landmarks move along
-    the Jacobian; if the pose changes much, call again with the result. Outliers are down-weighted by the weights of a
-    Cauchy distribution (Holland & Welsch 1977). A call takes about 0.1 ms, and 0.06 ms per iteration.
+    A landmark may have several maps, or none. Each iteration updates the parameters by
+    ``dp = -(r L + J^T W J)^-1 (r L p - J^T W v)`` with ``L = diag(0, 1 / lambda)`` (Saragih et al. 2011, equation 22).
+    Maps and Jacobian are those of the start, and the landmarks move along the Jacobian; if the pose changes much, call
+    again with the result. Outliers are down-weighted by the weights of a Cauchy distribution (Holland & Welsch 1977).
+    Shape parameters are clamped to five standard deviations. A call takes about 0.1 ms, and 0.06 ms per iteration.
     """
     jacobian = model.jacobian(start.pose, start.shape_params)
     flat = jacobian.reshape(-1, jacobian.shape[2])

@@ -47,8 +47,6 @@ class TrackerModel:
 
     Attributes
     ----------
-    pdm : PointDistributionModel
-        The shape model.
     face : FaceExperts
         Experts for a start that may be far from the face.
     glance : FaceExperts
@@ -66,10 +64,6 @@ class TrackerModel:
         Share of faces in which each landmark is visible, in the frontal view and with the nose to the viewer's left.
     box_offset : (D, 3) float64
         For each detector, translation of the pose from the centre of the box (x, y), and scale, in box widths.
-    check : FaceCheck
-        Decides whether a fit is a face.
-    detector : NetworkDetector
-        Proposes faces.
     model_id : str
         First digits of the file's checksum.
     """
@@ -148,22 +142,9 @@ def _packed(network: Network) -> NDArray[np.uint8]:
 
 
 def save_model(model: TrackerModel, path: Path) -> str:
-    """Write a model file, completely or not at all.
+    """Write a model file, completely or not at all, and return the model's identifier, as in `TrackerModel`.
 
-    Parameters
-    ----------
-    path : Path
-        The file to write.
-
-    Returns
-    -------
-    str
-        Identifier of the model: the first digits of its checksum.
-
-    Raises
-    ------
-    OutputError
-        If the file cannot be written.
+    Raises OutputError if the file cannot be written.
     """
     arrays: dict[str, NDArray[np.generic]] = {
         "mean_shape": model.pdm.mean_shape.astype(np.float32),
@@ -199,10 +180,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
 def load_model(path: Path) -> TrackerModel:
     """Read a model file.
 
-    Raises
-    ------
-    ModelError
-        If the file is missing, not a tracker model, of a different format version, truncated or damaged.
+    Raises ModelError if it is missing, not a tracker model, of a different format version, truncated or damaged.
     """
     payload, digest = _checked_payload(path)
     try:

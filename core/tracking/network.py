@@ -38,14 +38,9 @@ N_FEATURES = 6
 
 
 class Network:
-    """A network with one input `(B, 1, H, W)` and named outputs.
+    """A network with one input `(B, 1, H, W)` and named outputs; raises ModelError as `read_network` does.
 
     Do not share an instance between threads, as OpenCV keeps the buffers of a call in it.
-
-    Raises
-    ------
-    ModelError
-        As `read_network`.
     """
 
     def __init__(self, onnx: bytes, *outputs: str) -> None:
@@ -62,19 +57,9 @@ class Network:
             raise network_error(Message("run")) from error
 
     def check(self, size: tuple[int, int], *shapes: tuple[int, ...]) -> None:
-        """Check the shapes of the outputs.
+        """Check the outputs for an image of `size` (width, height).
 
-        Parameters
-        ----------
-        size : (int, int)
-            Width and height of the input image in pixels.
-        *shapes : tuple of int
-            Expected shape of each output.
-
-        Raises
-        ------
-        ValueError
-            If an output has another shape or is not finite.
+        Raises ValueError if one of them has another shape or is not finite.
         """
         outputs = self(np.zeros((1, *size[::-1]), np.float32))
         for name, output, shape in zip(self._outputs, outputs, shapes, strict=True):
@@ -108,37 +93,16 @@ class Detection:
 
 
 class NetworkDetector:
-    """Detects faces by a network. `CascadeDetector` is the Viola-Jones alternative.
-
-    Parameters
-    ----------
-    network : Network
-        Network from standardised images to `OUTPUTS`.
-    """
+    """Detects faces by a network from standardised images to `OUTPUTS`; `CascadeDetector` is the alternative."""
 
     def __init__(self, network: Network) -> None:
         self.network = network
 
     def detect(self, grey: NDArray[np.uint8], sides: tuple[int, ...] = SIDES[:3], turns: int = 0) -> list[Detection]:
-        """Detect the faces in an image, tilted by up to about 60 degrees.
+        """Detect faces tilted by up to about 60 degrees in a grey image (H, W), once each, the likeliest first.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        sides : tuple of int
-            Sides from `SIDES` to which the image is reduced.
-        turns : int
-            Clockwise quarter turns by which the faces are additionally tilted.
-
-        Returns
-        -------
-        list of Detection
-            Detections, the likeliest first, one per face.
-
-        Notes
-        -----
-        It takes about 1 ms at a side of 160 pixels and 4 ms at 400.
+        The image is reduced to each of `sides`, from `SIDES`. `turns` are clockwise quarter turns by which the faces
+        are additionally tilted. It takes about 1 ms at a side of 160 pixels and 4 ms at 400.
         """
         upright = np.ascontiguousarray(np.rot90(grey, turns))
         wanted = [side for i, side in enumerate(sides) if i == 0 or max(grey.shape) > sides[i - 1]]

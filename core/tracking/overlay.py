@@ -13,6 +13,7 @@ from ..numeric.arrays import FloatArray
 from .result import TrackResult
 
 Image = NDArray[np.uint8]
+"""(H, W, 3), BGR."""
 
 _LINE = (80, 220, 120)
 _POINT = (255, 255, 255)
@@ -31,20 +32,7 @@ _RADII = (0.7, 3.0)
 
 
 def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
-    """Draw landmarks over a copy of an image.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        BGR.
-    landmarks : (66, 2) float64
-        Positions in pixels; nothing is drawn if any is NaN.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        The copy.
-    """
+    """Draw landmarks (66, 2), in pixels, over a copy of an image; nothing is drawn if any is NaN."""
     canvas = image.copy()
     if not np.isfinite(landmarks).all():
         return canvas
@@ -60,21 +48,9 @@ def draw_landmarks(image: Image, landmarks: FloatArray) -> Image:
 
 
 def draw_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> Image:
-    """Scale a frame to fit into a given size, and draw its landmarks at that size.
+    """Scale a frame to fit into `width` by `height` pixels, and draw its landmarks at that size.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        BGR.
-    landmarks : (66, 2) float64
-        Positions in pixels of `image`.
-    width, height : int
-        Size of the result in pixels; the rest is background.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        The drawing, BGR.
+    The landmarks (66, 2) are in pixels of `image`. What it does not cover is background.
     """
     scale = min(width / image.shape[1], height / image.shape[0])
     centre = np.array([image.shape[1], image.shape[0]]) / 2.0
@@ -82,21 +58,9 @@ def draw_frame(image: Image, landmarks: FloatArray, width: int, height: int) -> 
 
 
 def draw_face(image: Image, landmarks: FloatArray, side: int, margin: float = 0.35) -> Image:
-    """Crop a square around a face, and draw its landmarks at the size of the crop.
+    """Crop a square of `side` pixels around a face, and draw its landmarks at the size of the crop.
 
-    Parameters
-    ----------
-    image, landmarks
-        As for `draw_frame`.
-    side : int
-        Side of the square in pixels.
-    margin : float
-        Margin on each side, as a share of the extent of the landmarks.
-
-    Returns
-    -------
-    (side, side, 3) uint8
-        The crop.
+    The landmarks are as for `draw_frame`; `margin`, on each side, is a share of their extent.
     """
     low, high = landmarks.min(axis=0), landmarks.max(axis=0)
     centre = (low + high) / 2.0 - (0.0, 0.12 * float(high[1] - low[1]))
@@ -115,21 +79,9 @@ def _scaled(image: Image, landmarks: FloatArray, scale: float, centre: FloatArra
 
 
 def draw_preview(image: Image | None, results: Sequence[TrackResult], width: int) -> NDArray[np.float32] | None:
-    """Draw a small preview of a frame, its landmarks coloured by confidence from red to green.
+    """Draw a frame at `width` pixels with landmarks coloured by confidence from red to green; None without an image.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8 or None
-        BGR.
-    results : sequence of TrackResult
-        Faces in that frame.
-    width : int
-        Width of the preview in pixels.
-
-    Returns
-    -------
-    (h, width, 4) float32 or None
-        RGBA, 0 to 1, linear light, bottom row first, as a GPU expects; None if `image` is None.
+    Returns (h, width, 4) RGBA, 0 to 1, linear light, bottom row first, as a GPU expects.
     """
     if image is None:
         return None
@@ -151,18 +103,7 @@ def draw_preview(image: Image | None, results: Sequence[TrackResult], width: int
 
 
 def draw_label(image: Image, text: str) -> Image:
-    """Draw text in the lower left corner of a copy of an image.
-
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        BGR.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        The copy.
-    """
+    """Draw text in the lower left corner of a copy of an image."""
     canvas = image.copy()
     scale = max(0.4, image.shape[0] / 640.0)
     place = (round(12 * scale), image.shape[0] - round(14 * scale))
@@ -172,22 +113,7 @@ def draw_label(image: Image, text: str) -> Image:
 
 
 def contact_sheet(pairs: Sequence[tuple[Image, Image]], columns: int = 3, gap: int = 10) -> Image:
-    """Arrange pairs of images in a grid, the two of each pair touching.
-
-    Parameters
-    ----------
-    pairs : sequence of (image, image)
-        BGR images of the same size.
-    columns : int
-        Pairs per row.
-    gap : int
-        Pixels between pairs.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        The sheet.
-    """
+    """Arrange pairs of images of one size in rows of `columns`, `gap` pixels apart, the two of each pair touching."""
     tiles = [np.hstack(pair) for pair in pairs]
     height, width = tiles[0].shape[:2]
     columns = min(columns, len(tiles))

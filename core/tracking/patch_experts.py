@@ -45,22 +45,7 @@ class ActionExperts(FacePart):
         return np.asarray(np.concatenate(both), dtype=np.intp)
 
     def respond(self, grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray) -> FloatArray:
-        """Estimate the activations.
-
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        pose : (6,) float64
-            Pose of the face, in the image frame.
-        landmarks : (66, 2) float64
-            Landmarks in pixels.
-
-        Returns
-        -------
-        (k,) or (2 k,) float64
-            Activations of the actions in `measured`.
-        """
+        """Estimate the activations, (k,) or (2 k,), of the actions in `measured`, for landmarks (66, 2) in pixels."""
         poses = pose[None].repeat(len(self.sides), axis=0)
         poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
         (activations,) = self.network(self.crops(grey, poses))
@@ -74,21 +59,10 @@ def measure_actions(
     landmarks: FloatArray,
     before: FloatArray | None = None,
 ) -> FloatArray:
-    """Estimate the activations of all actions.
+    """Estimate the activations (15,) of all actions: about 0 at rest, and 1 for a full action.
 
-    Parameters
-    ----------
-    experts : sequence of ActionExperts
-        Experts of the parts of the face that are measured.
-    grey, pose, landmarks
-        As for `ActionExperts.respond`.
-    before : (15,) float64, optional
-        Activations from an earlier frame, kept for parts without experts in `experts`.
-
-    Returns
-    -------
-    (15,) float64
-        Activations, about 0 at rest and 1 for a full action. They may differ from 0 at rest, as people look different.
+    They may differ from 0 at rest, as people look different. Parts without any of the `experts` keep those of `before`
+    (15,), an earlier frame; without it they are 0.
     """
     activations = np.zeros(N_ACTIONS) if before is None else before.copy()
     for part in experts:
@@ -129,28 +103,10 @@ class PatchExperts:
     output_bias: NDArray[np.float32]
 
     def respond(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> tuple[ResponseMaps, FloatArray]:
-        """Compute response maps in windows around landmarks.
+        """Return maps of the squared responses around landmarks (N, 2), and the highest response (N,) of each, 0 to 1.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        pose : (6,) float64
-            Pose in the image frame.
-        shape : (N, 2) float64
-            Landmarks in the face frame of `pose`.
-
-        Returns
-        -------
-        ResponseMaps
-            Squared responses, in the face frame of `pose`.
-        (N,) float64
-            Highest response of each landmark, 0 to 1.
-
-        Notes
-        -----
-        One batched product of (N, 25, 122) by (N, 122, U), about 6 million multiplications for N = 66 and U = 32; 0.4
-        ms.
+        Landmarks and maps are in the face frame of `pose` (6,). One batched product of (N, 25, 122) by (N, 122, U),
+        about 6 million multiplications for N = 66 and U = 32, takes 0.4 ms.
         """
         # Whole pixels from the translation of the pose: independent of the window's extent, which changes with a blink.
         centres = np.round(np.minimum(np.maximum(shape, -REACH), REACH) * self.scale).astype(np.intp)
@@ -170,36 +126,18 @@ class PatchExperts:
     def responses(
         self, pixels: NDArray[np.uint8], centres: IntArray, radius: int
     ) -> tuple[NDArray[np.float32], IntArray]:
-        """Compute responses in square windows of an image.
+        """Return responses (N, w, w), rows y, in windows of ``w = 2 radius + 1`` pixels about `centres` (N, 2).
 
-        Parameters
-        ----------
-        pixels : (H, W) uint8
-            Grey image.
-        centres : (N, 2) int
-            Centres `(x, y)` of the windows in pixels; a window that would leave the image is moved inside.
-        radius : int
-            Radius of the windows in pixels.
-
-        Returns
-        -------
-        (N, w, w) float32
-            Responses with ``w = 2 radius + 1``; rows are y.
-        (N, 2) int
-            First position `(x, y)` of each window.
-
-        Notes
-        -----
-        With the deviation `d` of a patch, ``relu(b + W . patch / d)`` is computed as ``relu(b d + W . patch) / d``:
-        biases become a row of the product, and positions are divided instead of hidden units.
+        A window that would leave the image is moved inside; the first position `(x, y)` of each, (N, 2), is returned,
+        too.
         """
         side = 2 * radius + 1
         height, width = pixels.shape
         limit = np.array([width, height]) - side - PATCH + 1
         corner = np.minimum(np.maximum(centres - (radius + HALF), 0), limit)
         crops = np.subtract(_crops(pixels, corner, side + PATCH - 1), _GREY, dtype=np.float32)
-        # The last row of the product holds biases times deviation; dividing afterwards normalises each patch once (see
-        # Notes).
+        # With the deviation d of a patch, relu(b + W . patch / d) is relu(b d + W . patch) / d: biases become a row of
+        # the product, and positions are divided instead of hidden units.
         deviation = _crops(_deviations(pixels), corner, side).reshape(len(corner), -1)
         (units,) = self._hidden_layers(_patches(crops, side, deviation))
         score = np.einsum("nru,nu->nr", units[:, 0], self.output)

@@ -86,38 +86,14 @@ class PointDistributionModel:
         return out
 
     def project(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
-        """Project the landmarks to the image (equation 3.1).
-
-        Parameters
-        ----------
-        pose : (6,) float64
-            As in `TrackResult`.
-        shape_params : (K,) float64
-            Coefficients of the modes.
-
-        Returns
-        -------
-        (N, 2) float64
-            Landmarks in pixels.
-        """
+        """Project the landmarks to pixels, (N, 2), by a pose as in `TrackResult` and coefficients (equation 3.1)."""
         scale, pitch, yaw, roll, *_ = pose.tolist()
         projected: FloatArray = self.shape(shape_params) @ (scale * euler_to_matrix(pitch, yaw, roll)[:2]).T
         projected += pose[4:6]
         return projected
 
     def jacobian(self, pose: FloatArray, shape_params: FloatArray) -> FloatArray:
-        """Differentiate the projected landmarks with respect to the parameters.
-
-        Parameters
-        ----------
-        pose, shape_params
-            As for `project`.
-
-        Returns
-        -------
-        (2, N, 6 + K) float64
-            Derivatives of x and y with respect to pose and coefficients.
-        """
+        """Differentiate the projected landmarks: x and y with respect to pose and coefficients, (2, N, 6 + K)."""
         scale, pitch, yaw, roll, *_ = pose.tolist()
         rotation = scale * euler_to_matrix(pitch, yaw, roll)
         x, y, z = rotation.tolist()
@@ -135,38 +111,15 @@ class PointDistributionModel:
         return out
 
     def clamp(self, shape_params: FloatArray, limit: float = 5.0) -> FloatArray:
-        """Clamp coefficients to a number of standard deviations.
-
-        Parameters
-        ----------
-        shape_params : (K,) float64
-            Coefficients of the modes.
-        limit : float
-            Largest number of standard deviations.
-
-        Returns
-        -------
-        (K,) float64
-            The clamped coefficients.
-        """
+        """Clamp coefficients (K,) to `limit` standard deviations."""
         bound = limit * self._deviations
         clamped: FloatArray = np.minimum(np.maximum(shape_params, -bound), bound)
         return clamped
 
     def step(self, pose: FloatArray, shape_params: FloatArray, delta: FloatArray) -> FittedShape:
-        """Add an update to pose and coefficients.
+        """Add an update (6 + K,) to pose and coefficients.
 
-        Parameters
-        ----------
-        pose, shape_params
-            As for `project`.
-        delta : (6 + K,) float64
-            The update.
-
-        Returns
-        -------
-        FittedShape
-            The new parameters: positive scale, angles from -pi to pi, coefficients within five standard deviations.
+        The result has a positive scale, angles from -pi to pi, and coefficients within five standard deviations.
         """
         moved = pose + delta[:N_POSE]
         # A step may at most halve the scale, which keeps it positive.
@@ -175,19 +128,9 @@ class PointDistributionModel:
         return FittedShape(moved, self.clamp(shape_params + delta[N_POSE:]))
 
     def frontal_pose(self, landmarks: FloatArray, weights: FloatArray | None = None) -> FloatArray:
-        """Fit a pose without pitch and yaw: the similarity that takes the mean shape closest to landmarks.
+        """Fit a pose (6,) without pitch and yaw to landmarks (N, 2) in pixels, with relative weights (N,).
 
-        Parameters
-        ----------
-        landmarks : (N, 2) float64
-            Positions in pixels.
-        weights : (N,) float64, optional
-            Relative weight of each landmark.
-
-        Returns
-        -------
-        (6,) float64
-            The pose, as in `TrackResult`.
+        It is the similarity that takes the mean shape closest to them.
         """
         weights = np.ones(len(landmarks)) if weights is None else weights
         share = (weights / weights.sum())[:, None]
@@ -236,6 +179,7 @@ class PointDistributionModel:
         pose = self.frontal_pose(landmarks, weights) if start is None else start
         shape_params = np.zeros(self.n_modes)
         for _ in range(iterations):
+            # Equation 3.4, where v is the residual and r the variance of the noise in pixels.
             residual = (landmarks - self.project(pose, shape_params)).T
             jacobian = self.jacobian(pose, shape_params)
             prior = np.concatenate([np.zeros(N_POSE), (noise * pose[0]) ** 2 / self.eigenvalues])
@@ -247,29 +191,11 @@ class PointDistributionModel:
 def solve_update(
     jacobian: FloatArray, shift: FloatArray, weights: FloatArray, prior: FloatArray, shape_params: FloatArray
 ) -> FloatArray:
-    """Solve for one update of pose and coefficients, ``-(r L + J^T W J)^-1 (r L p - J^T W v)``.
+    """Solve for an update (P,) of pose and coefficients, ``-(r L + J^T W J)^-1 (r L p - J^T W v)`` (equation 3.4).
 
-    Parameters
-    ----------
-    jacobian : (2, N, P) float64
-        `J`.
-    shift : (2, N) float64
-        `v`, the shift by which each landmark is pulled, in pixels.
-    weights : (N,) float64
-        Diagonal of `W`.
-    prior : (P,) float64
-        Diagonal of `r L`, 0 for the pose.
-    shape_params : (K,) float64
-        Shape part of `p`. The pose part is not needed, as `L` is 0 there.
-
-    Returns
-    -------
-    (P,) float64
-        The update.
-
-    Notes
-    -----
-    Equation 3.4 (Saragih et al. 2011, equation 22).
+    `jacobian` (2, N, P) is `J`; `shift` (2, N) is `v`, by which each landmark is pulled, in pixels; `weights` (N,) and
+    `prior` (P,) are the diagonals of `W` and `r L`; `shape_params` (K,) is the shape part of `p`. The pose part is not
+    needed, as `L` is 0 there (Saragih et al. 2011, equation 22).
     """
     flat = jacobian.reshape(-1, jacobian.shape[2])
     of_rows = np.concatenate([weights, weights])
@@ -279,22 +205,7 @@ def solve_update(
 
 
 def normal_matrix(flat: FloatArray, weights: FloatArray, prior: FloatArray) -> FloatArray:
-    """Assemble the matrix of the normal equations, ``r L + J^T W J``.
-
-    Parameters
-    ----------
-    flat : (M, P) float64
-        `J`.
-    weights : (M,) float64
-        Diagonal of `W`.
-    prior : (P,) float64
-        Diagonal of `r L`.
-
-    Returns
-    -------
-    (P, P) float64
-        The matrix.
-    """
+    """Return ``r L + J^T W J``, (P, P), for `J` (M, P) and the diagonals of `W`, (M,), and of `r L`, (P,)."""
     normal = multiply(flat.T, flat * weights[:, None])
     # If all weights are 0, the pose is undetermined; a small diagonal keeps the system solvable, with a step of 0.
     normal.reshape(-1)[:: len(prior) + 1] += prior + 1e-9

@@ -81,24 +81,10 @@ class _Person:
 
 
 class PeopleTracker:
-    """Follows all faces in view.
+    """Follows all faces in view, which `tracker` finds and fits; it must not track anything itself meanwhile.
 
     Each further face costs its own fit, but no search of its own: one search for all is made when nobody is followed,
     every other frame while somebody is missing, and otherwise every tenth.
-
-    Parameters
-    ----------
-    tracker : FaceTracker
-        Finds and fits the faces; it must not track anything itself meanwhile.
-
-    Examples
-    --------
-    >>> import cv2
-    >>> from facemime import FaceTracker
-    >>> from facemime.core.tracking.people import PeopleTracker
-    >>> people = PeopleTracker(FaceTracker.load())
-    >>> sorted(people.track(cv2.imread("portrait.png")))
-    [0]
     """
 
     def __init__(self, tracker: FaceTracker) -> None:
@@ -120,17 +106,9 @@ class PeopleTracker:
         return self._tracker.model_id
 
     def track(self, image: ArrayLike) -> dict[int, TrackResult]:
-        """Track everybody in the next frame of a video.
+        """Track everybody in the next frame of a video, an image as for `FaceTracker.track`.
 
-        Parameters
-        ----------
-        image : array_like
-            The frame, as for `FaceTracker.track`.
-
-        Returns
-        -------
-        dict of int to TrackResult
-            The faces in view, by the number of the person in order of appearance.
+        Returns the faces in view, by the number of the person in order of appearance, from 0.
         """
         grey = self._tracker.begin(image)
         self._frame += 1
@@ -185,6 +163,7 @@ class PeopleTracker:
         for number in sorted(looks, key=lambda n: -self._people[n].like(looks[n])):
             person, descriptor = self._people[number], looks[number]
             own = person.like(descriptor)
+            # Of two fits of one face, that which looks less like its person is dropped (section 3.7).
             taken = any(
                 other != number and _overlap(followed[number], followed[other])
                 for other in contested

@@ -44,22 +44,8 @@ class ReferenceFrame:
 
 
 def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
-    """Convert a pose from the face frame of `start` to the image frame.
+    """Convert a pose (6,) from the face frame of `start` (6,), a pose in the image frame, to the image frame.
 
-    Parameters
-    ----------
-    relative : (6,) float64
-        Pose in the face frame of `start`.
-    start : (6,) float64
-        Pose in the image frame.
-
-    Returns
-    -------
-    (6,) float64
-        The pose in the image frame.
-
-    Notes
-    -----
     The face frame is the image translated by the start, rotated back by its roll and divided by its scale, so that the
     start itself is ``(1, pitch, yaw, 0, 0, 0)`` there.
     """
@@ -71,46 +57,16 @@ def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
 
 
 def translate_pose(pose: FloatArray, x: float, y: float) -> FloatArray:
-    """Move a pose to a point of its own face frame.
-
-    Parameters
-    ----------
-    pose : (6,) float64
-        Pose in the image frame.
-    x, y : float
-        Position in the face frame of `pose`, in outer-eye distances.
-
-    Returns
-    -------
-    (6,) float64
-        The moved pose, in the image frame.
-    """
+    """Move a pose (6,) in the image frame to the point `(x, y)` of its own face frame, in outer-eye distances."""
     return pose_in_image(np.array([1.0, pose[1], pose[2], 0.0, x, y]), pose)
 
 
 def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> ReferenceFrame:
-    """Crop a face, upright and at a given scale.
+    """Crop a face, upright, to `size` (width, height) in pixels, at `scale` pixels per outer-eye distance.
 
-    Parameters
-    ----------
-    grey : (H, W) uint8
-        Grey image.
-    pose : (6,) float64
-        Pose in the image frame; its translation becomes the centre of the crop.
-    scale : float
-        Pixels per outer-eye distance of the crop.
-    size : (int, int)
-        Width and height of the crop in pixels.
-
-    Returns
-    -------
-    ReferenceFrame
-        The crop. Beyond the border of the image, border pixels are repeated.
-
-    Notes
-    -----
-    Only the visible part of the image is processed. If the face is much larger than the crop, the image is reduced by
-    an integer factor first, as the bilinear warp would alias.
+    The translation of the pose (6,), in the image frame, becomes the centre of the crop. Beyond the border of the
+    image, border pixels are repeated. Only the visible part of the image is processed. If the face is much larger than
+    the crop, the image is reduced by an integer factor first, as the bilinear warp would alias.
     """
     # Python floats, as operations on numpy scalars take ten times as long.
     pose_scale, _, _, roll, x, y = pose.tolist()

@@ -33,20 +33,7 @@ def _unknown(*shape: int) -> FloatArray:
 
 
 def project_shape(shape: FloatArray, pose: FloatArray) -> FloatArray:
-    """Project a shape to the image (equation 3.1).
-
-    Parameters
-    ----------
-    shape : (66, 3) float64
-        Landmarks in the head frame, in outer-eye distances.
-    pose : (6,) float64
-        As in `TrackResult`.
-
-    Returns
-    -------
-    (66, 2) float64
-        Landmarks in pixels.
-    """
+    """Project a shape (66, 3), in the head frame and outer-eye distances, to pixels, (66, 2) (equation 3.1)."""
     return np.asarray(pose[0] * (shape @ euler_to_matrix(*pose[1:4]).T)[:, :2] + pose[4:])
 
 
@@ -151,10 +138,7 @@ class TrackResult:
 
     @property
     def eye_apertures(self) -> FloatArray:
-        """Apertures of the right and left eye without the pose, in outer-eye distances, (2,); 0 is shut.
-
-        See `core.face.landmarks`.
-        """
+        """Apertures (2,) of right and left eye, without the pose, in outer-eye distances (equation 3.7); 0 is shut."""
         return eye_apertures(self.shape)
 
     @property
@@ -230,19 +214,9 @@ class HiddenMouth:
         self._lips = None
 
     def hold(self, shape: FloatArray, certainty: FloatArray) -> FloatArray:
-        """Return a shape whose lips are replaced by the last well-seen ones, by as much as they are hidden.
+        """Return `shape` with the last well-seen lips, by as much as they are hidden; `shape` itself if they are seen.
 
-        Parameters
-        ----------
-        shape : (66, 3) float64
-            Fitted shape: head frame, outer-eye distances.
-        certainty : (66,) float64
-            Certainty of each landmark, 0 to 1.
-
-        Returns
-        -------
-        (66, 3) float64
-            The shape; `shape` itself if the mouth is seen.
+        It is (66, 3), in the head frame and outer-eye distances; `certainty` (66,) is that of each landmark, 0 to 1.
         """
         seen = seen_lips(certainty)
         if seen >= _KNOWN:

@@ -87,32 +87,16 @@ class Candidate:
         return self.fit.fitted.pose
 
     def distance(self, x: float, y: float) -> float:
-        """Return the distance from a point to the middle of the face.
-
-        Parameters
-        ----------
-        x, y : float
-            Position in pixels.
-
-        Returns
-        -------
-        float
-            Distance in pixels.
-        """
+        """Return the distance from a point to the middle of the face, in pixels."""
         return float(np.hypot(self.pose[4] - x, self.pose[5] - y))
 
 
 class FaceSearch:
     """Finds faces in a grey image, from scratch or near a face of the previous frame.
 
-    Attributes
-    ----------
-    gradual : bool
-        Whether the search is spread over many frames, so that none takes long.
-    network : NetworkDetector or None
-        Searches before any cascade. None leaves the search to the cascades alone, as in the paper.
-    timings : dict of str to float
-        Seconds spent in each stage since `begin`: "detect", "experts", "fit", "check", "gaze", "actions".
+    A `gradual` search is spread over many frames, so that none takes long. The `network` searches before any cascade;
+    None leaves the search to the cascades alone, as in the paper. `timings` are the seconds spent in each of `STAGES`
+    since `begin`.
     """
 
     found_above = 0.5
@@ -133,18 +117,7 @@ class FaceSearch:
         self.timings.update(dict.fromkeys(STAGES, 0.0))
 
     def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Candidate:
-        """Fit the face near its position in the previous frame, and judge the fit.
-
-        Parameters
-        ----------
-        grey, last
-            As for `FaceFitter.follow`.
-
-        Returns
-        -------
-        Candidate
-            The fit, however low its confidence.
-        """
+        """Fit the face near its position in the previous frame, and judge the fit, however low its confidence."""
         return self._judge(self.fitter.follow(grey, last))
 
     def steps(self, misses: int) -> tuple[SearchStep, ...]:
@@ -179,33 +152,18 @@ class FaceSearch:
         small: bool = False,
         brief: bool = False,
     ) -> list[Candidate]:
-        """Detect faces, step by step, until a step finds a certain one.
+        """Detect faces by steps, by default all, in order, until one finds a certain face.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        steps : sequence of Step or NetworkPass, optional
-            Efforts of the cascades and passes of the network, in order; by default all.
-        small : bool
-            Whether to search for small faces even if the first effort finds a certain one, because a particular face is
-            awaited, which may be small.
-        brief : bool
-            Whether to fit few starts, as a gradual search does, because there was no face in the previous frame.
+        `small` searches for small faces even if the first step finds a certain one, because a particular face is
+        awaited, which may be small. `brief` fits few starts, as a gradual search does, because there was no face in the
+        previous frame.
         """
         return list(self._detected(grey, self._all if steps is None else steps, small, brief or self.gradual))
 
     def others(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], *, small: bool = False) -> list[Candidate]:
-        """Find faces other than those at `poses`. Only boxes away from them are fitted.
+        """Find faces other than those at `poses` (6,) in the image frame. Only boxes away from them are fitted.
 
-        Parameters
-        ----------
-        grey : (H, W) uint8
-            Grey image.
-        poses : sequence of (6,) float64
-            Poses of the tracked faces, in the image frame.
-        small : bool
-            Whether to search for small faces, too, which takes longer.
+        `small` searches for small faces, too, which takes longer.
         """
 
         def apart(other: FloatArray) -> bool:

@@ -61,13 +61,10 @@ itself."""
 
 
 class OneEuroFilter:
-    """One-euro filter for a vector (D,) that is sampled at increasing times.
+    """One-euro filter for a vector (D,) that is sampled at increasing times (equation 3.8).
 
-    Its components share one cutoff, unless `dims` is 0, which gives each its own.
-
-    Notes
-    -----
-    Equation 3.8. With ``a(f) = 1 / (1 + 1 / (2 pi f dt))``::
+    Its components share one cutoff, unless `dims` is 0, which gives each its own. With
+    ``a(f) = 1 / (1 + 1 / (2 pi f dt))``::
 
         v <- v + a(f_d) (dy / dt - v)
         x <- x + a(f_0 + beta |v|) (y - x)
@@ -138,19 +135,8 @@ class ResultSmoother:
         self._unit = 0.0
 
     def smooth(self, result: TrackResult, time: float) -> TrackResult:
-        """Smooth the result of a frame.
-
-        Parameters
-        ----------
-        result : TrackResult
-            The result as tracked.
-        time : float
-            Time in seconds, which has to increase from call to call.
-
-        Returns
-        -------
-        TrackResult
-            The smoothed result; `result` itself if there is no face.
+        """Return `result` smoothed, or itself if there is no face; `time`, in seconds, has to increase from call to
+        call.
         """
         if not result.found:
             self.reset()

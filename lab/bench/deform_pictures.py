@@ -15,6 +15,7 @@ from lab.bench.deformers import Method, Predict, triangles_of
 from lab.bench.heads import TrueHead
 
 Image = NDArray[np.uint8]
+"""(H, W, 3), BGR."""
 
 EXPRESSIONS: dict[str, tuple[str, ...]] = {
     "jaw open": ("jawOpen",),
@@ -81,19 +82,9 @@ def comparison(
     methods: dict[str, Predict],
     expressions: Sequence[str] = _COMPARED,
 ) -> Image:
-    """Draw true expressions, one per row, beside the results of methods, with the errors as colours.
+    """Draw true `expressions`, keys of `EXPRESSIONS`, one per row, beside the results of methods.
 
-    Parameters
-    ----------
-    methods : mapping of str to callable
-        `Method.predict` by title.
-    expressions : sequence of str
-        Keys of `EXPRESSIONS`.
-
-    Returns
-    -------
-    (H, W, 3) uint8
-        BGR.
+    `methods` are `Method.predict` by title. The errors are drawn as colours.
     """
     rows = []
     for title in expressions:
@@ -125,24 +116,10 @@ def render(
     skin: NDArray[np.floating] | None = None,
     size: tuple[int, int] = _SIDE,
 ) -> Image:
-    """Draw a deformed head as flat triangles from back to front.
+    """Draw a head whose vertices are `moved` by displacements (V, 3), as flat triangles from back to front.
 
-    Parameters
-    ----------
-    head : TrueHead
-    moved : (V, 3) array
-        Displacements.
-    error : (V,) array, optional
-        From 0 to 1, drawn as colours.
-    skin : (V, 3) array, optional
-        Colours, BGR from 0 to 255, instead of that of skin.
-    size : (int, int)
-        Width and height in pixels.
-
-    Returns
-    -------
-    (height, width, 3) uint8
-        BGR.
+    `error` (V,), from 0 to 1, is drawn as colours; `skin` (V, 3), BGR from 0 to 255, replaces the colour of skin.
+    `size` is the width and height in pixels.
     """
     scale = 2
     points = project(head.vertices + moved, size)

@@ -62,10 +62,7 @@ def tables_in(text: str) -> dict[str, list[str]]:
 def with_tables(text: str, tables: Mapping[str, Sequence[str]]) -> tuple[str, list[str]]:
     """Replace the tables that `text` marks; return the text, and the titles of these tables.
 
-    Raises
-    ------
-    ValueError
-        If a marker is not followed by a table.
+    Raises ValueError if a marker is not followed by a table.
     """
     found: list[str] = []
     put_in: list[str] = []

@@ -13,12 +13,9 @@ _COLOURS = ("#1f6f5c", "#b5651d", "#5b6ea8", "#8c4a78")
 
 
 def draw_tracking(path: Path, measured: dict[str, dict]) -> None:
-    """Cumulative error curves, and the median error along every axis, of each tracker.
+    """Draw cumulative error curves, and the median error along every axis, of each tracker.
 
-    Parameters
-    ----------
-    measured : dict
-        `lab.bench.tracking.measure` of each tracker, by its name.
+    `measured` is `lab.bench.tracking.measure` of each tracker, by its name.
     """
     import matplotlib
 

@@ -39,17 +39,9 @@ def may_join() -> bool:
 
 
 class Wire:
-    """Two namespaces, and a thread that forwards IP packets between them; a context manager.
+    """Two namespaces, and a thread that forwards IP packets between them as `link` says; a context manager.
 
-    Parameters
-    ----------
-    link : Link
-        Delay, jitter and loss, in both directions.
-
-    Attributes
-    ----------
-    cut : bool
-        Whether all packets are dropped.
+    While `cut` is set, all packets are dropped.
     """
 
     def __init__(self, link: Link) -> None:

@@ -19,10 +19,7 @@ Claim = tuple[str, str, str, str]
 def claims(tables: Mapping[str, Table]) -> Table:
     """Return a row per claim: its place, what the paper says, what is measured, and whether the claim holds.
 
-    Parameters
-    ----------
-    tables : mapping of str to Table
-        "errors", "openings", "clip", "greedy", "twelve", "speed" and "network" of `lab.bench.paper`.
+    The tables are "errors", "openings", "clip", "greedy", "twelve", "speed" and "network" of `lab.bench.paper`.
     """
     errors = tables["errors"]
     rows = [

@@ -43,17 +43,7 @@ _MIXED = (200, 120, 220)
 
 
 def draw(folder: Path, head: TrueHead, rig: HeadRig, take: Take, video: Path, paper: DriveSettings) -> None:
-    """Write all pictures into `folder`.
-
-    Parameters
-    ----------
-    head : TrueHead
-        The built-in head with its known expressions.
-    take : Take
-        The sample clip, tracked.
-    paper : DriveSettings
-        The preset of the paper.
-    """
+    """Write all pictures into `folder`, with `take` the sample clip, tracked, and `paper` the preset of the paper."""
     folder.mkdir(parents=True, exist_ok=True)
     write(folder / "regions.jpg", _regions(head))
     write(folder / "points.jpg", _points(head, rig, take))

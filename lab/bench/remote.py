@@ -212,19 +212,8 @@ def stream(
 ) -> Live:
     """Loop a take from one room to a worker in the other that drives the built-in head; it is interrupted at the end.
 
-    Parameters
-    ----------
-    seconds, cut : float
-        Seconds that are measured, and seconds without packets after these.
-    loss : float
-        Share of packets that are lost.
-    opened : callable
-        Makes the sender and the settings of the receiver.
-
-    Returns
-    -------
-    Live
-        The measurements; the recovery is NaN without an interruption.
+    It is measured for `seconds`, after which no packets come for `cut` seconds; `loss` is the share of packets that are
+    lost. `opened` makes the sender and the settings of the receiver. The recovery is NaN without an interruption.
     """
     with Wire(replace(LINK, loss=loss)) as wire, TemporaryDirectory() as folder:
         sender, settings = opened(wire, Path(folder))

@@ -47,12 +47,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def read_faces(folder: Path, margin: float) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Yield images (H, W, 3) and landmarks (66, 2), in pixels, of every labelled face below `folder`.
+    """Return images (H, W, 3) and landmarks (66, 2), in pixels, of every labelled face below `folder`.
 
-    Raises
-    ------
-    SourceError
-        If there is none, or a file is invalid.
+    Raises SourceError if there is none, or a file is invalid.
     """
     pictures = sorted(p for p in folder.rglob("*") if p.suffix.lower() in IMAGE_SUFFIXES)
     labelled = [p for p in pictures if p.with_suffix(".pts").is_file()]

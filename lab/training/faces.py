@@ -37,22 +37,9 @@ Label = Callable[[np.ndarray], np.ndarray]
 
 
 def read_template(text: str) -> np.ndarray:
-    """Read the points of a template in the format of Psychomorph and WebMorph.
+    """Read the points (189, 2), `(x, y)` in pixels, of a template in the format of Psychomorph and WebMorph.
 
-    Parameters
-    ----------
-    text : str
-        Content of the file.
-
-    Returns
-    -------
-    (189, 2) float64
-        Points `(x, y)` in pixels.
-
-    Raises
-    ------
-    ValueError
-        If it is not a template of 189 points.
+    Raises ValueError if the text is not a template of 189 points.
     """
     lines = text.split("\n")
     try:
@@ -68,17 +55,9 @@ def read_template(text: str) -> np.ndarray:
 
 
 def landmarks_of_template(points: np.ndarray) -> np.ndarray:
-    """Return the landmarks along the curves of a template.
+    """Return the landmarks (68, 2), in iBUG order, of a face that looks at the viewer, from its template (189, 2).
 
-    Parameters
-    ----------
-    points : (189, 2) float64
-        Points of the Face Research Lab's template; a face looks at the viewer.
-
-    Returns
-    -------
-    (68, 2) float64
-        Landmarks in iBUG order.
+    They are spread along the curves of the template.
     """
     left, right = (points[list(side)] for side in _SIDES_OF_BRIDGE)
     middle = np.concatenate([(left + right) / 2.0, points[[_UNDER_NOSE]]])
@@ -116,21 +95,9 @@ def _spread(curve: np.ndarray, count: int) -> np.ndarray:
 
 
 def reduced(image: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cut a large photo to its face and reduce it.
+    """Cut a large photo (H, W, 3) to its face, and reduce it to at most 640 pixels in width and height.
 
-    Parameters
-    ----------
-    image : (H, W, 3) uint8
-        The photo.
-    landmarks : (68, 2) float64
-        Its landmarks in pixels.
-
-    Returns
-    -------
-    (h, w, 3) uint8
-        The photo, at most 640 pixels wide and high.
-    (68, 2) float64
-        The landmarks there.
+    Returns that photo and the landmarks (68, 2) in its pixels.
     """
     if max(image.shape[:2]) <= LARGEST_SIDE:
         return image, landmarks
@@ -148,19 +115,10 @@ def reduced(image: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def convert(photos: Sequence[Path], folder: Path, label: Label) -> list[str]:
-    """Write the folder of a set: photos and their landmarks.
+    """Write photos and landmarks as `images` and `landmarks68.npz` in `folder`; return what is left out, and why.
 
-    Parameters
-    ----------
-    folder : Path
-        Where `images` and `landmarks68.npz` are written.
-    label : callable
-        Returns landmarks (68, 2) of a photo without a template; NaN if it finds no face.
-
-    Raises
-    ------
-    OSError
-        If a file cannot be written.
+    `label` returns the landmarks (68, 2) of a photo without a template; NaN if it finds no face. Raises OSError if a
+    file cannot be written.
     """
     names, every, left_out = [], [], []
     (folder / "images").mkdir(parents=True, exist_ok=True)

@@ -22,26 +22,12 @@ USED = "578946bd1ffd"
 
 
 def convert(folder: Path) -> dict[str, np.ndarray]:
-    """Return the arrays of `ICT_FILE`.
+    """Return the arrays of `ICT_FILE` from a folder with the OBJ files of ICT-FaceKit, which share their vertices.
 
-    Parameters
-    ----------
-    folder : Path
-        With the OBJ files of the neutral mesh, the identities and the expressions, which share their vertices.
-
-    Returns
-    -------
-    dict
-        `neutral` (V, 3), centimetres, x to the viewer's right, y up, z to the camera; `faces` (F, 4), -1 pads
-        triangles; `uv`, `faces_uv`, `face_material`, `materials`; `identity_delta` and `expression_delta` (K, V, 3),
-        with `identity_names` and `expression_names`; `landmarks68` (68,), vertices in iBUG order.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the neutral mesh or the indices are missing.
-    ValueError
-        If a mesh has another number of vertices.
+    `neutral` (V, 3), centimetres, x to the viewer's right, y up, z to the camera; `faces` (F, 4), -1 pads triangles;
+    `uv`, `faces_uv`, `face_material`, `materials`; `identity_delta` and `expression_delta` (K, V, 3), with
+    `identity_names` and `expression_names`; `landmarks68` (68,), vertices in iBUG order. Raises FileNotFoundError if
+    the neutral mesh or the indices are missing, and ValueError if a mesh has another number of vertices.
     """
     neutral = parse_obj((folder / _NEUTRAL).read_text())
     others = sorted(path for path in folder.glob("*.obj") if path.name != _NEUTRAL)
@@ -63,13 +49,7 @@ def convert(folder: Path) -> dict[str, np.ndarray]:
 
 
 def checksum(arrays: dict[str, np.ndarray]) -> str:
-    """Return the first digits of a checksum of the mesh at rest and its landmarks.
-
-    Parameters
-    ----------
-    arrays : dict
-        As returned by `convert`, or read from `ICT_FILE`.
-    """
+    """Return the first digits of a checksum of the mesh at rest and its landmarks, for the arrays of `ICT_FILE`."""
     of = hashlib.sha256()
     for name, kind in (("neutral", "<f4"), ("faces", "<i4"), ("landmarks68", "<i8")):
         of.update(np.ascontiguousarray(arrays[name].astype(kind)).tobytes())

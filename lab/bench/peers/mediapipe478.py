@@ -27,13 +27,7 @@ VERTICES_68 = (
 
 
 class MediaPipe:
-    """MediaPipe's face mesh as a `Peer`.
-
-    Parameters
-    ----------
-    vertices : sequence of int, optional
-        Vertices of the face mesh that are returned; by default those of the 66 landmarks.
-    """
+    """MediaPipe's face mesh as a `Peer` that returns some of its `vertices`, by default those of the 66 landmarks."""
 
     name = "MediaPipe"
 

@@ -26,12 +26,7 @@ _FLIP = np.array([-1.0, 1.0, 1.0])
 def learn_face_space(data: Path, pdm: PointDistributionModel) -> FaceSpace:
     """Return the symmetric spaces of the people that the tracker may be trained on.
 
-    Parameters
-    ----------
-    data : Path
-        Folder of the training data.
-    pdm : PointDistributionModel
-        The tracker's shape model, which gives the photos their depth.
+    Its shape model, `pdm`, gives the photos their depth; `data` is the folder of the training data.
     """
     head = load_ict(data)
     photos = split(read_photos(data, *HAND_LABELLED))[0]

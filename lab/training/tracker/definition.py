@@ -20,15 +20,11 @@ the middle, along the line to which it is moved."""
 
 
 def definition_offset(mean: np.ndarray, ict_to_labels: np.ndarray) -> np.ndarray:
-    """Return the offsets from the labels to the reported landmarks.
+    """Return the offsets (66, 3) from the labels to the reported landmarks: head frame, outer-eye distances.
 
-    Parameters
-    ----------
-    mean : (66, 3) array
-        Mean of the labelled faces, head frame, outer-eye distances.
-    ict_to_labels : (66, 3) array
-        The way from the landmarks of ICT-FaceKit, which are the figure's on its mesh, to the labels. It is used for
-        the end of the brow; on the lips, the mesh has a spacing of its own.
+    `mean` (66, 3) is that of the labelled faces. `ict_to_labels` (66, 3) leads from the landmarks of ICT-FaceKit, which
+    are the figure's on its mesh, to the labels. It is used for the end of the brow; on the lips, the mesh has a spacing
+    of its own.
     """
     out = np.zeros((N_LANDMARKS, 3))
     out[_BROW_END] = -ict_to_labels[_BROW_END]

@@ -21,23 +21,9 @@ _NOSTRILS = from_ibug(range(31, 36))
 
 
 def dress(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
-    """Draw some of it, or nothing, onto a grey image.
+    """Return a grey image with clothing and hair, or nothing, drawn onto it; `unit` is pixels per outer-eye distance.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey picture.
-    landmarks : (66, 2) float64
-        Pixels.
-    unit : float
-        Pixels per outer-eye distance.
-    rng : numpy.random.Generator
-        Source of chance.
-
-    Returns
-    -------
-    (H, W) uint8
-        The picture, dressed.
+    The landmarks (66, 2) are in pixels.
     """
     wardrobe: tuple[tuple[float, Callable[..., np.ndarray]], ...] = (
         (0.25, _lashes),

@@ -91,14 +91,9 @@ _RENDERS_PER_SKIN = 24
 
 
 class Workshop:
-    """The steps from data to model, each of whose results is kept in a folder.
+    """The steps from `data`, photos and heads, to the model; the result of each is kept in the folder `work`.
 
-    Parameters
-    ----------
-    data, work : Path
-        Folders of the photos and heads, and of the results.
-    effort : float
-        Share of the training images and of the networks' training steps; 1 makes the model that ships.
+    `effort` is the share of the training images and of the networks' training steps; 1 makes the model that ships.
     """
 
     def __init__(self, data: Path, work: Path, effort: float = 1.0) -> None:

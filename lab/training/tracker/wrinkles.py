@@ -18,25 +18,10 @@ _SHOWN, _FALSE = 0.7, 0.02
 def crease(
     image: np.ndarray, landmarks: np.ndarray, unit: float, actions: Mapping[str, float], rng: np.random.Generator
 ) -> np.ndarray:
-    """Draw the creases of some actions onto a grey image.
+    """Return a grey image with the creases of some actions; `unit` is pixels per outer-eye distance.
 
-    Parameters
-    ----------
-    image : (H, W) uint8
-        Grey picture.
-    landmarks : (66, 2) float64
-        Pixels.
-    unit : float
-        Pixels per outer-eye distance.
-    actions : mapping of str to float
-        Activations of ICT-FaceKit's expressions, by name; those without creases are ignored.
-    rng : numpy.random.Generator
-        Source of chance.
-
-    Returns
-    -------
-    (H, W) uint8
-        The picture.
+    The landmarks (66, 2) are in pixels. `actions` are activations of ICT-FaceKit's expressions, by name; those without
+    creases are ignored.
     """
     relief = np.zeros(image.shape, np.float32)
     for name, draw in _CREASES.items():
