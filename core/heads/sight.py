@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import EYE_LEFT, EYE_RIGHT, INNER, MIRROR
+from ..face.landmarks import EYE_LEFT, EYE_RIGHT, INNER, LIPS, MIRROR
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray, IntArray
 from ..tracking.cascade_detector import Effort, Step
@@ -26,6 +26,8 @@ _TURNED = np.cos(np.radians(15.0))
 _ASIDE = np.radians(12.0)
 """Angle from which a face is seen from both sides as well. On ICT-FaceKit's mean face and ten people of its model, 12
 and 22 degrees place lids and nose about alike, and nearer to their own landmarks than the view from in front alone."""
+_ROUND = np.setdiff1d(INNER, LIPS)
+"""Landmarks that are averaged: lips are seen best from in front."""
 _OPENING = 0.2
 """Difference, in outer-eye distances, between the depth of the mesh and that of the tracker's shape above which a ray
 counts as having passed through an opening or beside the mesh."""
@@ -131,11 +133,11 @@ def _from_aside(sitter: Sitter, ahead: Sight, size: float, turn: FloatArray, fou
 
 
 def _averaged(ahead: Sight, others: list[Sight]) -> Sight:
-    """Average the inner landmarks of the sights that are sure, weighted by certainty."""
+    """Average landmarks of the sights that are sure, weighted by certainty."""
     sights = [ahead, *(other for other in others if other.sure)]
     points = ahead.points.copy()
-    weights = np.stack([sight.certainty[INNER] for sight in sights])[..., None]
-    points[INNER] = (weights * np.stack([sight.points[INNER] for sight in sights])).sum(axis=0) / weights.sum(axis=0)
+    weights = np.stack([sight.certainty[_ROUND] for sight in sights])[..., None]
+    points[_ROUND] = (weights * np.stack([sight.points[_ROUND] for sight in sights])).sum(axis=0) / weights.sum(axis=0)
     return replace(ahead, points=points)
 
 
