@@ -12,6 +12,7 @@ import bpy
 
 from ...core.errors import ModelError
 from ...core.files.assets import ASSETS
+from ...core.heads.built_in import MOUTH_COLOUR, MOUTH_ROUGHNESS
 from ..names import UV_MAP
 
 _TEXTURES = ASSETS / "head"
@@ -24,8 +25,6 @@ _BRIGHTNESS = 0.8
 _WITH_ALPHA = {32, 64, 128}
 """Bits of a pixel of images with an alpha."""
 _MOUTH = "Facemime Mouth"
-_MOUTH_COLOUR = (0.035, 0.012, 0.01)
-"""Linear RGB; dark also in viewports that show materials without their images."""
 
 Build = Callable[[bpy.types.NodeTree, bpy.types.Node], None]
 
@@ -69,7 +68,7 @@ def plain_material(name: str, colour: tuple[float, float, float], roughness: flo
 
 def mouth_material() -> bpy.types.Material:
     """Return the dark material of the inside of a mouth, which all heads share."""
-    return bpy.data.materials.get(_MOUTH) or plain_material(_MOUTH, _MOUTH_COLOUR, 1.0)
+    return bpy.data.materials.get(_MOUTH) or plain_material(_MOUTH, MOUTH_COLOUR, MOUTH_ROUGHNESS)
 
 
 def _tree(material: bpy.types.Material) -> bpy.types.ShaderNodeTree:

@@ -6,8 +6,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.face.landmarks import MOUTH_CORNERS
-from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, Head, HeadPart, load_head
+from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
 from ...core.heads.rig import Part
 from ..characters import write_kinds
 from ..frames import to_blender
@@ -17,10 +16,6 @@ from ..view_layers import select_alone
 from .attached import attach
 from .materials import head_materials, mouth_material
 
-_MOUTH_UV = np.array([[0.359, 0.004], [0.641, 0.069]])
-"""Lower left and upper right of the inside of the mouth in the texture of the skin."""
-_DEEP = 0.006
-"""Distance in metres behind the corners of the mouth from which its inside is dark."""
 _RENDER_LEVELS = 2
 """Levels of subdivision of the skin in renders."""
 
@@ -39,7 +34,7 @@ def add_head(
     mesh = _mesh(name, head.vertices, head.faces, head.uv, materials["skin"])
     write_landmarks(mesh, head.landmarks)
     mesh.materials.append(mouth_material())
-    mesh.polygons.foreach_set("material_index", _deep_in_mouth(head).astype(np.int32))
+    mesh.polygons.foreach_set("material_index", head.deep_in_mouth.astype(np.int32))
     skin = bpy.data.objects.new(name, mesh)
     collection = bpy.data.collections.new(name)
     context.collection.children.link(collection)
@@ -87,14 +82,6 @@ def _mesh(
     mesh.materials.append(material)
     mesh.update(calc_edges=True)
     return mesh
-
-
-def _deep_in_mouth(head: Head) -> NDArray[np.bool_]:
-    """Whether each face of the skin lies inside the mouth, behind its corners, (F,)."""
-    corner = head.faces >= 0
-    inside = ((head.uv > _MOUTH_UV[0]) & (head.uv < _MOUTH_UV[1])).all(axis=2) | ~corner
-    depth = np.where(corner, head.vertices[head.faces, 2], 0.0).sum(axis=1) / corner.sum(axis=1)
-    return np.asarray(inside.all(axis=1) & (depth > head.vertices[head.landmarks[MOUTH_CORNERS], 2].max() + _DEEP))
 
 
 def _subdivide_in_renders(obj: bpy.types.Object) -> None:

@@ -12,7 +12,7 @@ from ..errors import ModelError
 from ..files.assets import ASSETS
 from ..files.reading import read_bytes
 from ..numeric.arrays import FloatArray, IntArray
-from .built_in import HeadPart, load_head
+from .built_in import MOUTH_COLOUR, MOUTH_ROUGHNESS, HeadPart, load_head
 
 _MAX_IMAGE = 32_000_000
 _TONGUE = "tongueOut"
@@ -140,7 +140,12 @@ def built_in_appearance(name: str = "Facemime Head") -> Appearance:
     parts = tuple(_attached(part, surface, tongue) for part in head.parts if part.name != "lashes")
     lashes = head.part("lashes")
     on_skin = np.where(lashes.faces < 0, -1, lashes.faces + len(head.vertices))
-    patches = (Patch(surface("skin"), head.faces, head.uv), Patch(surface("hair"), on_skin, lashes.uv))
+    deep = head.deep_in_mouth
+    patches = (
+        Patch(surface("skin"), head.faces[~deep], head.uv[~deep]),
+        Patch(Material(MOUTH_COLOUR, MOUTH_ROUGHNESS), head.faces[deep], head.uv[deep]),
+        Patch(surface("hair"), on_skin, lashes.uv),
+    )
     return Appearance(name, patches, parts)
 
 

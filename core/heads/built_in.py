@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, ModelError
-from ..face.landmarks import N_LANDMARKS
+from ..face.landmarks import MOUTH_CORNERS, N_LANDMARKS
 from ..face.names import COEFFICIENT_INDEX
 from ..face.rotation import fit_rotation
 from ..files.archives import MAX_BYTES, Archive, read_archive
@@ -33,6 +33,13 @@ _DIRECTIONS = ("In", "Out", "Up", "Down")
 REGION_NAMES = tuple(region.name for region in REGIONS)
 PART_NAMES = ("eye_left", "eye_right", "teeth_upper", "teeth_lower", "tongue", "lashes", "hair")
 FORMAT = "facemime-head-2"
+MOUTH_COLOUR = (0.035, 0.012, 0.01)
+"""Linear RGB of the inside of a mouth; dark also in viewports that show materials without their images."""
+MOUTH_ROUGHNESS = 1.0
+_MOUTH_UV = np.array([[0.359, 0.004], [0.641, 0.069]])
+"""Lower left and upper right of the inside of the mouth in the texture of the skin."""
+_DEEP = 0.006
+"""Distance in metres behind the corners of the mouth from which its inside is dark."""
 _ROUNDING = 1e-5
 
 HEAD_FILE = ASSETS / "head" / "head.npz"
@@ -98,6 +105,14 @@ class Head:
     units: NDArray[np.float32]
     parts: tuple[HeadPart, ...]
     jaw_pivot: NDArray[np.float32]
+
+    @property
+    def deep_in_mouth(self) -> NDArray[np.bool_]:
+        """Whether each face of the skin lies inside the mouth, behind its corners, where it is dark, (F,)."""
+        corner = self.faces >= 0
+        inside = ((self.uv > _MOUTH_UV[0]) & (self.uv < _MOUTH_UV[1])).all(axis=2) | ~corner
+        depth = np.where(corner, self.vertices[self.faces, 2], 0.0).sum(axis=1) / corner.sum(axis=1)
+        return np.asarray(inside.all(axis=1) & (depth > self.vertices[self.landmarks[MOUTH_CORNERS], 2].max() + _DEEP))
 
     def part(self, name: str) -> HeadPart:
         """Return the part of that name, one of `PART_NAMES`."""
