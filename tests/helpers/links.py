@@ -25,10 +25,19 @@ from tests.helpers.takes import coefficient_take
 
 
 def free_port() -> int:
-    """Return a free port of this computer."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
+    """Return a port of this computer that is free for both connections and datagrams."""
+    while True:
+        with (
+            socket.socket(socket.AF_INET, socket.SOCK_STREAM) as connections,
+            socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as datagrams,
+        ):
+            connections.bind(("127.0.0.1", 0))
+            port = int(connections.getsockname()[1])
+            try:
+                datagrams.bind(("127.0.0.1", port))
+            except OSError:  # taken by another program's datagrams
+                continue
+            return port
 
 
 class Phone(threading.Thread):
