@@ -142,7 +142,7 @@ def read_corners(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
 
 
 def read_landmarks(obj: bpy.types.Object) -> NDArray[np.intp]:
-    """Return the vertices (66,) of landmarks; raises HeadError if there are none, or the vertex count has changed."""
+    """Return the vertices (66,) of the landmarks; raises HeadError without any, or if the vertex count has changed."""
     return _stored_landmarks(obj, LANDMARKS_PROPERTY)
 
 

@@ -72,7 +72,7 @@ def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
 
 
 def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> None:
-    """Play only the clip `name`, of those from `clips_of`, on some data-blocks; raises HeadError if there is none."""
+    """Play only the clip `name` of `clips` on some data-blocks; raises HeadError if there is no such clip."""
     if name not in clips:
         if not clips:
             raise HeadError("There is no clip {name}, nor any other.", name=name)

@@ -16,7 +16,7 @@ from ...core.face.landmarks import from_ibug
 from ...core.heads.bind import Binding, bind_landmarks
 from ...core.heads.checks import Finding, check_head
 from ...core.heads.eyeballs import EYES
-from ...core.heads.portrait import lids_seen
+from ...core.heads.portrait import Paint, lids_seen
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import Part, Skin
 from ...core.numeric.arrays import FloatArray, IntArray
@@ -116,11 +116,11 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     others[eye_vertices(obj)] = True
     others |= stray_vertices(obj)
     skin = skin_of_object(obj, others)
-    marks = read_marks(mesh)
+    marks, paint = read_marks(mesh), read_paint(obj)
     aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
     try:
-        binding, along = yield from _bound(obj, skin, marks, axes)
+        binding, along = yield from _bound(obj, skin, paint, marks, axes)
     except HeadError as error:
         if names := ", ".join(generating_modifiers(obj)):
             raise HeadError(
@@ -134,7 +134,7 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     if turn is not None:
         turn_mesh(obj, turn)
     try:
-        binding, landmarks = yield from _among_parts(obj, binding, skin, others, marks)
+        binding, landmarks = yield from _among_parts(obj, binding, skin, paint, others, marks)
     except (HeadError, GeneratorExit):  # another mesh of the character may have the face, or the user stops
         if turn is not None:
             turn_mesh(obj, turn.T)
@@ -148,7 +148,12 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
 
 
 def _among_parts(
-    obj: bpy.types.Object, binding: Binding, skin: Skin, others: NDArray[np.bool_], marks: dict[int, int]
+    obj: bpy.types.Object,
+    binding: Binding,
+    skin: Skin,
+    paint: Paint | None,
+    others: NDArray[np.bool_],
+    marks: dict[int, int],
 ) -> Work[tuple[Binding, NDArray[np.intp]]]:
     """Sort the parts of the face of `obj`, and search again without those that are not skin.
 
@@ -163,7 +168,7 @@ def _among_parts(
     if len(final.kept) == len(skin.kept):
         return binding, landmarks
     try:
-        binding, _ = yield from _bound(obj, final, marks, [np.eye(3)])
+        binding, _ = yield from _bound(obj, final, paint, marks, [np.eye(3)])
     except (HeadError, GeneratorExit):
         forget_parts(obj)
         raise
@@ -265,7 +270,11 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
 
 def _bound(
-    obj: bpy.types.Object, skin: Skin, marks: dict[int, int], axes: list[NDArray[np.floating[Any]]]
+    obj: bpy.types.Object,
+    skin: Skin,
+    paint: Paint | None,
+    marks: dict[int, int],
+    axes: list[NDArray[np.floating[Any]]],
 ) -> Work[tuple[Binding, NDArray[np.floating[Any]]]]:
     """Return the binding of the skin of `obj`, and the one of `axes`, (3, 3) rotations, along which it was found.
 
@@ -276,14 +285,13 @@ def _bound(
     failure: HeadError | None = None
     marked = {landmark: int(skin.number[vertex]) for landmark, vertex in marks.items() if vertex < len(skin.number)}
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
-    paint = read_paint(obj)
-    paint = None if paint is None else paint.of_faces(skin.rows)
+    shown = None if paint is None else paint.of_faces(skin.rows)
     vertices = read_vertices(mesh_of(obj))
     for rotation in axes:
         try:
             turned = vertices[skin.kept] @ rotation.T
             binding = yield Task(
-                partial(bind_landmarks, turned, skin.faces, marked, paint), len(found) / (len(axes) + 1)
+                partial(bind_landmarks, turned, skin.faces, marked, shown), len(found) / (len(axes) + 1)
             )
         except HeadError as error:
             failure = error

@@ -32,7 +32,7 @@ _MADE_UP = _JANE.with_suffix(".jpg")
 TRI, OBJ = ".tri", ".obj"
 _READERS = {TRI: read_tri, OBJ: read_obj}
 _IMAGES = (".jpg", ".jpeg", ".png", ".bmp", ".tga", ".tif", ".tiff")
-_UNWANTED = re.compile(r"small|glass|spectacle|goggle|helmet|hat| cap ")
+_UNWANTED = re.compile(r" (?:small|(?:sun )?glass(?:es)?|spectacles?|goggles?|helmet|hat|cap) ")
 """Words in the names of coarser copies of parts, and of what not everybody wears."""
 _MARKS: Mapping[str, int] = {
     "exocanthionright": 36,
@@ -71,10 +71,10 @@ _LOOKS: Sequence[tuple[str, tuple[tuple[float, float, float], float]]] = (
 def import_facegen(
     context: bpy.types.Context, paths: Sequence[Path], scale: float = MILLIMETRE, *, beside: bool = True
 ) -> list[bpy.types.Object]:
-    """Import FaceGen's `.tri` or `.obj` files, and return the objects; the first is a head, and active.
+    """Import FaceGen's `.tri` or `.obj` files, and return the objects; the first, a head if there is one, is active.
 
-    Files that are named after parts become children of the head. If `beside` is set and no part is among `paths`, the
-    parts in the folder of a single head are imported too. Textures and the modes of `.egm` files are found by the
+    Files that are named after parts become children of the first head. If `beside` is set and no part is among `paths`,
+    the parts in the folder of a single head are imported too. Textures and the modes of `.egm` files are found by the
     names of their meshes. `scale` is metres per unit. Raises SourceError if a file is damaged or not FaceGen's, and
     nothing is imported then.
     """
@@ -85,9 +85,9 @@ def import_facegen(
     read.sort(key=lambda pair: _is_part(pair[0]))
     objects = [_add(context, path, mesh, modes, scale) for path, (mesh, modes) in read]
     head = objects[0]
-    for (path, _), obj in zip(read[1:], objects[1:], strict=True):
-        if _is_part(path):
-            obj.parent = head
+    if not _is_part(read[0][0]):
+        for (path, _), obj in zip(read[1:], objects[1:], strict=True):
+            obj.parent = head if _is_part(path) else None
     select_alone(context, head)
     return objects
 

@@ -199,14 +199,18 @@ def bind_landmarks(
     return replace(again, landmarks=kept[again.landmarks], body=binding.body)
 
 
+def pieces_with_face(number: IntArray, landmarks: IntArray) -> NDArray[np.bool_]:
+    """Return which pieces of a mesh, (P,), have the jaw or the nose, by the piece `number` (V,) of each vertex."""
+    return np.bincount(number[landmarks[_FACE]], minlength=number.max() + 1) >= _MIN_ON_SKIN
+
+
 def _under_others(places: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.bool_]:
     """Find the skin, (V,), of a mesh on which landmarks lie on other pieces, such as a cage for clothes and hair.
 
     Nothing is skin if all landmarks lie on it, or no piece has the jaw or the nose.
     """
     number = islands(len(places), faces, border_twins(places, faces))
-    count = np.bincount(number[landmarks[_FACE]], minlength=number.max() + 1)
-    skin = (count >= _MIN_ON_SKIN)[number]
+    skin = pieces_with_face(number, landmarks)[number]
     return skin if not skin[landmarks].all() else np.zeros_like(skin)
 
 

@@ -149,7 +149,7 @@ def mirror_tracked(take: Take) -> Take:
 
 
 def renew_neutral(take: Take, frame_time: float) -> Take:
-    """Make the face at a time in seconds the one that `calibrate` returns; raises SourceError if there is none."""
+    """Make `calibrate` return the face at a time in seconds; raises SourceError if there is no face then."""
     neutral = calibrate(take, frame_time - _NEUTRAL_SPAN / 2.0, _NEUTRAL_SPAN)
     return replace(take, info={**take.info, "calibration": neutral.to_dict()})
 

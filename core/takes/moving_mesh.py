@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HeadError, SourceError
-from ..face.landmarks import EYE_CORNERS, JAW, NOSE, from_ibug, outer_eye_distance
-from ..heads.bind import bind_landmarks
+from ..face.landmarks import EYE_CORNERS, from_ibug, outer_eye_distance
+from ..heads.bind import bind_landmarks, pieces_with_face
 from ..heads.proposal import propose_regions
 from ..heads.regions import LOWER
 from ..heads.rig import Part, Skin, neck_of, skin_of
@@ -27,10 +27,6 @@ _MAX_ANCHORS = 1000
 _REACH = 2.0
 """Distance from the middle of the eyes within which vertices determine the pose of the head, in eye distances."""
 _NOSE_BASE = int(from_ibug([33])[0])
-_FACE = np.concatenate([JAW, NOSE])
-"""Landmarks that lie on the skin of any face."""
-_MIN_ON_SKIN = 3
-"""Smallest number of these on a piece of a mesh that is skin."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +104,7 @@ def _bound(
     skin = skin_of(mesh.rest, mesh.faces)
     landmarks, turn = _landmarks(mesh, skin, marks)
     number = islands(len(mesh.rest), mesh.faces, border_twins(mesh.rest, mesh.faces))
-    on_skin = np.bincount(number[landmarks[_FACE]], minlength=number.max() + 1) >= _MIN_ON_SKIN
+    on_skin = pieces_with_face(number, landmarks)
     members = np.split(np.argsort(number, kind="stable"), np.cumsum(np.bincount(number))[:-1])
     places = mesh.rest @ turn.T
     pieces = [Piece(places[own], ("", ""), bool(seen)) for own, seen in zip(members, on_skin, strict=True)]

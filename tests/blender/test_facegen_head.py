@@ -9,7 +9,7 @@ import pytest
 
 from facemime.blender.characters import part_table
 from facemime.blender.heads.binding import bind_head, check_object
-from facemime.blender.heads.facegen import import_facegen
+from facemime.blender.heads.facegen import import_facegen, parts_beside
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
 from facemime.blender.paint import read_paint
@@ -125,3 +125,12 @@ def test_a_face_of_331_vertices_is_found_in_its_colours():
     points = read_vertices(face.data)[read_landmarks(face)]
     assert binding.clarity > 0.6 and len(set(read_landmarks(face))) == 66
     assert lid_gaps(points).min() > 0.05 * outer_eye_distance(points)
+
+
+def test_parts_alone_stand_by_themselves_and_a_hat_is_no_word_within_another(tmp_path):
+    shutil.copy(FOLDER / "Jane.tri", tmp_path / "Head.tri")
+    for name in ("What Hair.tri", "Hat Hair.tri"):
+        shutil.copy(FOLDER / "Hair.tri", tmp_path / name)
+    objects = import_facegen(bpy.context, [FOLDER / "Mouth.tri", FOLDER / "Hair.tri"])
+    assert [obj.parent for obj in objects] == [None, None]
+    assert parts_beside(tmp_path / "Head.tri") == [tmp_path / "What Hair.tri"]
