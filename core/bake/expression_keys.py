@@ -35,6 +35,10 @@ from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
 _TONGUE = "tongueOut"
 _STEPS = 2
 """Number of corrections of the landmarks, which the deformer meets only approximately."""
+_CONTACTS = 3
+"""Number of times that lids and lips meet and are then moved out of eyeballs and each other, which parts them a bit.
+A blink leaves 5.2, 3.0, 2.4 and 2.1 % of an eye open on an avatar after 1 to 4, and 3.5, 2.8, 2.1 and 1.9 % on another.
+"""
 _REACH = 0.35
 """Distance from the landmarks, in outer-eye distances, within which the carried motion counts."""
 _OPEN = 1e-3
@@ -157,17 +161,19 @@ class _Maker:
     ) -> NDArray[np.float32]:
         """Correct `motion` so that lids and lips meet, on a face that is already displaced by `before`."""
         landmarks = self._skin.landmarks
-        for _ in range(_STEPS):
-            moved = (before + motion)[landmarks]
-            missing = self._lids(row, moved) + self._lips(row, moved, sealed=sealed)
-            if not missing.any():
-                break
-            motion = motion + self._followed(missing)
-        posed = np.asarray(self._rest + before + motion, dtype=np.float32)
-        self._eyes.resolve(posed)
-        self._slits.resolve(posed)
-        self._eyes.resolve(posed)
-        return np.asarray(posed - self._rest - before)
+        for _ in range(_CONTACTS):
+            for _ in range(_STEPS):
+                moved = (before + motion)[landmarks]
+                missing = self._lids(row, moved) + self._lips(row, moved, sealed=sealed)
+                if not missing.any():
+                    break
+                motion = motion + self._followed(missing)
+            posed = np.asarray(self._rest + before + motion, dtype=np.float32)
+            self._eyes.resolve(posed)
+            self._slits.resolve(posed)
+            self._eyes.resolve(posed)
+            motion = np.asarray(posed - self._rest - before)
+        return motion
 
     def _lids(self, row: int, moved: FloatArray) -> FloatArray:
         """Displacements (66, 3) that lids lack to open or close by the same share as those of the built-in head."""
