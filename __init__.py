@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .core.bake.arkit import arkit_coefficients as arkit_coefficients
+    from .core.bake.curves import fit_key_curves as fit_key_curves
     from .core.bake.fit import fit_basis as fit_basis
     from .core.bake.fit import fit_keys as fit_keys
     from .core.control_points.select import select_control_points as select_control_points
@@ -62,6 +63,7 @@ _PLACES = {
     "built_in_head": "heads.rig",
     "calibrate": "takes.neutral",
     "fit_basis": "bake.fit",
+    "fit_key_curves": "bake.curves",
     "fit_keys": "bake.fit",
     "head_deformer": "deform.head_deformer",
     "load_take": "takes.file",

@@ -1,4 +1,4 @@
-"""Animation written in bulk: linear keyframes on the active action or on an NLA track.
+"""Animation written in bulk: keyframes on the active action or on an NLA track.
 
 An action lists the curves that Facemime made, so that a second bake replaces these and never an animator's own.
 """
@@ -14,10 +14,11 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.bake.fit import needed_keys
+from ..core.bake.curves import BezierCurve, fit_curves, stops_of
 from ..core.errors import HeadError
 from .fcurves import (
     TRACK,
+    CharacterAction,
     curves_in,
     curves_to_fill,
     disown_paths,
@@ -28,6 +29,9 @@ from .fcurves import (
     tracks_of_bakes,
 )
 from .muting import Silenced, driven_paths, keyed_paths, mute_paths, muted_paths, unmute_noted
+
+_PEAK = 3.0
+"""Height of a peak that is a keyframe, in errors."""
 
 
 @dataclass(frozen=True)
@@ -41,13 +45,20 @@ class Curve:
     values : (N,) array
         One value per frame.
     tolerance : float or None
-        Error allowed when removing keyframes, in the unit of the values; None keeps all keyframes.
+        Error that fewer keyframes may cause, in the unit of the values, if the frames follow each other; None keeps one
+        for each frame, with straight lines between.
+    fitted : BezierCurve or None
+        The keyframes, where they are known.
+    group : str
+        Name of the group of curves; "" for none.
     """
 
     data_path: str
     index: int
     values: NDArray[np.floating[Any]]
     tolerance: float | None = None
+    fitted: BezierCurve | None = None
+    group: str = ""
 
 
 def write_curves(
@@ -56,11 +67,12 @@ def write_curves(
     frames: NDArray[np.floating[Any]],
     curves: Iterable[Curve],
     *,
+    action: CharacterAction | None = None,
     nla: bool = False,
     add: bool = False,
     leave_drivers: bool = False,
 ) -> list[Silenced]:
-    """Animate a data-block with linear keyframes, replacing only curves that a bake wrote; return what was muted.
+    """Animate a data-block with keyframes, replacing only curves that a bake wrote; return what was muted.
 
     What else moves the same channels is muted, or the curves are added to it. Where the active action has a muted curve
     of someone else in the same channel, or is itself added to what is below it, the new ones go onto an NLA track: an
@@ -69,7 +81,9 @@ def write_curves(
     Parameters
     ----------
     name : str
-        Name of the action, if the owner has none.
+        Name of the action, if the owner has none, and it has its own.
+    action : CharacterAction, optional
+        The action of the character to which the owner belongs.
     frames : (N,) array
         Frames of the keyframes.
     nla : bool
@@ -97,7 +111,7 @@ def write_curves(
         return muted
     data = owner.animation_data or owner.animation_data_create()
     if data.action is None:
-        data.action = bpy.data.actions.new(name)
+        (action or CharacterAction(name, ())).give(owner, name)
     _fill(owner, data, frames, curves)
     return muted
 
@@ -149,22 +163,59 @@ def _fill(
     frames: NDArray[np.floating[Any]],
     curves: Sequence[Curve],
 ) -> None:
-    interpolation = bpy.types.Keyframe.bl_rna.properties["interpolation"]
-    assert isinstance(interpolation, bpy.types.EnumProperty)
-    linear = interpolation.enum_items["LINEAR"].value
-    fcurves = curves_to_fill(owner, holder)
-    for curve in curves:
+    fcurves, groups = curves_to_fill(owner, holder)
+    for curve, fitted in zip(curves, _fitted(curves), strict=True):
         if (old := fcurves.find(curve.data_path, index=curve.index)) is not None:
             fcurves.remove(old)
-        points = np.column_stack([frames, curve.values])
-        if curve.tolerance is not None:
-            points = points[needed_keys(points[:, 0], points[:, 1], curve.tolerance)]
         fcurve = fcurves.new(curve.data_path, index=curve.index)
-        fcurve.keyframe_points.add(len(points))
-        fcurve.keyframe_points.foreach_set("co", points.astype(np.float32).reshape(-1))
-        fcurve.keyframe_points.foreach_set("interpolation", np.full(len(points), linear, dtype=np.int32))
+        if curve.group:
+            fcurve.group = groups.get(curve.group) or groups.new(curve.group)
+        if fitted is None:
+            _add_points(fcurve, np.column_stack([frames, curve.values]), "LINEAR")
+        else:
+            _add_points(fcurve, np.column_stack([frames[fitted.rows], fitted.values]), "BEZIER")
+            _shape(fcurve, fitted, frames)
         fcurve.update()
     own_paths(holder, (curve.data_path for curve in curves))
+
+
+def _fitted(curves: Sequence[Curve]) -> list[BezierCurve | None]:
+    """Return the curves with few keyframes; None for those with a keyframe in each frame."""
+    found = [curve.fitted for curve in curves]
+    rows = [row for row, curve in enumerate(curves) if curve.fitted is None and curve.tolerance is not None]
+    if rows:
+        values = np.column_stack([curves[row].values for row in rows])
+        tolerances = np.array([curves[row].tolerance for row in rows], dtype=np.float64)
+        stops = [stops_of(column, _PEAK * tolerance) for column, tolerance in zip(values.T, tolerances, strict=True)]
+        free = np.full(len(rows), np.inf)
+        for row, curve in zip(rows, fit_curves(values, tolerances, stops, -free, free), strict=True):
+            found[row] = curve
+    return found
+
+
+def _number(kind: str, name: str) -> int:
+    """Return the number of a value of an enumeration of keyframes, as `foreach_set` takes it."""
+    enumeration = bpy.types.Keyframe.bl_rna.properties[kind]
+    assert isinstance(enumeration, bpy.types.EnumProperty)
+    return int(enumeration.enum_items[name].value)
+
+
+def _add_points(fcurve: bpy.types.FCurve, points: NDArray[np.floating[Any]], interpolation: str) -> None:
+    """Add keyframes (N, 2), frame and value, to a curve without any."""
+    fcurve.keyframe_points.add(len(points))
+    fcurve.keyframe_points.foreach_set("co", points.astype(np.float32).reshape(-1))
+    kinds = np.full(len(points), _number("interpolation", interpolation), dtype=np.int32)
+    fcurve.keyframe_points.foreach_set("interpolation", kinds)
+
+
+def _shape(fcurve: bpy.types.FCurve, fitted: BezierCurve, frames: NDArray[np.floating[Any]]) -> None:
+    """Give the keyframes of a curve over evenly spaced frames (N,) the handles of `fitted`."""
+    spacing = (frames[-1] - frames[0]) / max(len(frames) - 1, 1) or 1.0
+    kinds = np.where(fitted.smooth, _number("handle_left_type", "ALIGNED"), _number("handle_left_type", "FREE"))
+    for side, handles in zip(("left", "right"), fitted.handles(), strict=True):
+        fcurve.keyframe_points.foreach_set(f"handle_{side}_type", kinds.astype(np.int32))
+        placed = (handles * (spacing, 1.0) + (frames[0], 0.0)).astype(np.float32)
+        fcurve.keyframe_points.foreach_set(f"handle_{side}", placed.reshape(-1))
 
 
 def _push(

@@ -12,6 +12,8 @@ import bpy
 
 _OWNED = "facemime_curves"
 """Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
+_SHARED = "facemime_character"
+"""Custom property of an action that a bake shares among the data-blocks of a character."""
 TRACK = "Facemime"
 """Name of a bake's NLA tracks, numbered if there are several; a renamed track belongs to the user."""
 
@@ -53,16 +55,20 @@ def curves_in(holder: Holder | None) -> Any:
     return () if bag is None else bag.fcurves
 
 
-def curves_to_fill(owner: bpy.types.ID, holder: Holder) -> Any:
-    """Return the curves of a holder of `owner`, which has an action; a slot is added if actions have slots."""
+def curves_to_fill(owner: bpy.types.ID, holder: Holder) -> tuple[Any, Any]:
+    """Return the curves of a holder of `owner`, which has an action, and their groups.
+
+    A slot is added if actions have slots.
+    """
     action = _action(holder)
     if not hasattr(action, "slots"):
-        return action.fcurves
+        return action.fcurves, action.groups
     if holder.action_slot is None:
         holder.action_slot = action.slots.new(id_type=owner.id_type, name=owner.name)
     layer = action.layers[0] if action.layers else action.layers.new("Facemime")
     strip = layer.strips[0] if layer.strips else layer.strips.new(type="KEYFRAME")
-    return _keyframes(strip).channelbag(holder.action_slot, ensure=True).fcurves
+    bag = _keyframes(strip).channelbag(holder.action_slot, ensure=True)
+    return bag.fcurves, bag.groups
 
 
 def _action(holder: Holder) -> bpy.types.Action:
@@ -75,6 +81,37 @@ def _keyframes(strip: bpy.types.ActionStrip) -> bpy.types.ActionKeyframeStrip:
     """Return a strip of an action as the only kind there is so far."""
     assert isinstance(strip, bpy.types.ActionKeyframeStrip)
     return strip
+
+
+class CharacterAction:
+    """The action of the animation that a bake adds to a character: one with a slot for each of its data-blocks.
+
+    Where actions have no slots, each data-block has its own.
+
+    Parameters
+    ----------
+    name : str
+        Name of the action, if there is none yet.
+    owners : iterable of bpy.types.ID
+        Data-blocks of the character, which may play the action of an earlier bake.
+    """
+
+    def __init__(self, name: str, owners: Iterable[bpy.types.ID]) -> None:
+        self._name = name
+        playing = (data.action for owner in owners if (data := owner.animation_data) is not None)
+        self._action = next((action for action in playing if action is not None and _SHARED in action), None)
+
+    def give(self, owner: bpy.types.ID, name: str) -> None:
+        """Let a data-block without an action play this one, or one of that name where actions have no slots."""
+        data = owner.animation_data or owner.animation_data_create()
+        if "slots" not in bpy.types.Action.bl_rna.properties:
+            data.action = bpy.data.actions.new(name)
+            return
+        if self._action is None:
+            self._action = bpy.data.actions.new(self._name)
+            self._action[_SHARED] = True
+        data.action = self._action
+        data.action_slot = self._action.slots.new(id_type=owner.id_type, name=owner.name)
 
 
 def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
@@ -139,14 +176,14 @@ def make_actions_own(owners: Iterable[bpy.types.ID]) -> None:
     """
     playing = [(owner, data) for owner in dict.fromkeys(owners) if (data := owner.animation_data) is not None]
     animated = [owner for owner, data in playing if data.action is not None]
-    copies: dict[tuple[bpy.types.Action, int], bpy.types.Action] = {}
+    copies: dict[bpy.types.Action, bpy.types.Action] = {}
     for _, data in playing:
         action, handle = data.action, slot_handle(data)
-        if action is not None and (action, handle) not in copies and _plays_elsewhere(action, handle, animated):
-            copies[action, handle] = action.copy()
+        if action is not None and action not in copies and _plays_elsewhere(action, handle, animated):
+            copies[action] = action.copy()
     for _, data in playing:
         handle = slot_handle(data)
-        if data.action is not None and (copy := copies.get((data.action, handle))) is not None:
+        if data.action is not None and (copy := copies.get(data.action)) is not None:
             data.action = copy
             if handle:
                 data.action_slot = next(slot for slot in copy.slots if slot.handle == handle)

@@ -11,6 +11,7 @@ from bpy.props import (
     StringProperty,
 )
 
+from ..blender.animation.refit import refit
 from ..core.bake.bake_settings import BakeSettings
 from ..core.errors import FacemimeError
 from ..core.face.names import COEFFICIENTS
@@ -28,6 +29,14 @@ class FacemimeTake(bpy.types.PropertyGroup):
     length: FloatProperty(name="Length", subtype="TIME_ABSOLUTE", min=0.0)
     star: BoolProperty(name="Favourite", description="Mark this take as a favourite")
     note: StringProperty(name="Note", description="Your note on this take")
+
+
+COARSEST = 2.0
+"""Error of curves at no detail, in percent of the eye distance."""
+
+
+def _refit(bake: "FacemimeBake") -> None:
+    refit(bake.clean / 100.0)
 
 
 class FacemimeKeyRow(bpy.types.PropertyGroup):
@@ -56,6 +65,18 @@ class FacemimeKeyPose(bpy.types.PropertyGroup):
 class FacemimeBake(bpy.types.PropertyGroup):
     """Settings of the bake, and the key mapping."""
 
+    detail: FloatProperty(
+        name="Detail",
+        description="How closely curves follow the take; at 100 % each frame has a keyframe. The keyframes of the last "
+        "bake follow this slider until you change one",
+        subtype="PERCENTAGE",
+        precision=1,
+        min=0.0,
+        max=100.0,
+        get=lambda bake: 100.0 * (1.0 - min(bake.clean / COARSEST, 1.0)),
+        set=lambda bake, value: setattr(bake, "clean", COARSEST * (1.0 - value / 100.0)),
+        update=lambda bake, context: _refit(bake),
+    )
     placed: IntProperty(
         name="Frame", description="Frame at which the last take started at the current frame", default=1
     )

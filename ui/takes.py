@@ -3,6 +3,7 @@
 import bpy
 
 from ..blender.animation.conflicts import playing_under
+from ..blender.animation.refit import keyframe_count
 from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
@@ -129,8 +130,18 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         column.active = bake.keys in (AUTOMATIC, "new")
         column.prop(bake, "max_keys")
         column = layout.column()
+        column.active = bake.keys in (AUTOMATIC, "named")
+        column.prop(bake, "residual")
+        column = layout.column()
         column.active = bake.keys not in ("cache", "alembic")
-        column.prop(bake, "clean")
+        column.prop(bake, "whole_frames")
+        column = column.column()
+        column.active = bake.whole_frames
+        column.prop(bake, "detail", slider=True)
+        if bake.whole_frames and bake.clean > 0.0:
+            labels(column, context, _("Error of curves: {error:.2f} %").format(error=bake.clean))
+        if (head := subject(context)) is not None and head.type == "MESH" and (count := keyframe_count(head)):
+            labels(column, context, _("Baked: {count} keyframes").format(count=count))
         props(layout, bake, "start", "fit_range", "keep_animation", "nla")
         obj = subject(context)
         if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):

@@ -5,6 +5,7 @@ and removal of earlier ones.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import bpy
@@ -19,7 +20,7 @@ from ...core.numeric.arrays import FloatArray
 from ...core.takes.take import Take
 from ..actions import Curve, check_curves, remove_bake, write_curves
 from ..characters import members_of, own_rotation
-from ..fcurves import make_actions_own
+from ..fcurves import CharacterAction, make_actions_own
 from ..meshes import keys_of, mesh_of
 from ..muting import Silenced, animated_paths, keyed_paths, strips_of
 from ..names import PART_PROPERTY, TONGUE_KEY
@@ -102,7 +103,7 @@ EYE_PARTS = ("eye_right", "eye_left")
 """In the order of `HeadFrame.gaze`."""
 Targets = Mapping[str, PoseTarget]
 _TONGUE_ERROR = 0.01
-"""Error of the tongue's key that is allowed when removing keyframes."""
+"""Error of the tongue's key that fewer keyframes may cause."""
 _LAST_FRAME = 1_048_574
 """Last frame of Blender's timeline."""
 
@@ -121,8 +122,18 @@ def check_bakeable(obj: bpy.types.Object, targets: Targets, *, new_keys: bool, o
             )
     for member in members_of(obj):
         _check_keys(member.obj, new=new_keys, old=old_keys)
-    for block in _animated_owners(obj, targets):
+    for block in animated_owners(obj, targets):
         check_curves(block)
+
+
+def can_add_keys(obj: bpy.types.Object) -> bool:
+    """Return whether shape keys can be added to all meshes of a head."""
+    try:
+        for member in members_of(obj):
+            _check_keys(member.obj, new=True, old=False)
+    except HeadError:
+        return False
+    return True
 
 
 def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
@@ -134,6 +145,8 @@ def _check_keys(obj: bpy.types.Object, *, new: bool, old: bool) -> None:
             name=obj.name,
         )
     if new:
+        require_relative(obj)
+    if old:
         require_relative(obj)
     if old and mesh.shape_keys is not None and mesh.shape_keys.library is not None:
         raise HeadError(
@@ -164,6 +177,7 @@ def bake_pose(
     rotation: bool = True,
     translation: bool = False,
     clean: tuple[float, float] | None = None,
+    action: CharacterAction | None = None,
     nla: bool = False,
     keep: bool = False,
 ) -> list[Silenced]:
@@ -176,7 +190,9 @@ def bake_pose(
     rotation, translation : bool
         Whether the rotation and the location of the head are animated.
     clean : (float, float), optional
-        Error allowed when removing keyframes: radians, and the mesh's unit.
+        Error that fewer keyframes may cause, if the frames follow each other: radians, and the mesh's unit.
+    action : CharacterAction, optional
+        As for `write_curves`.
     nla : bool
         Whether to use an NLA track.
     keep : bool
@@ -187,26 +203,33 @@ def bake_pose(
     angle, length = clean or (None, None)
     turns, moves = motion.rotation if rotation else None, motion.translation if translation else None
     carried = carried_targets(obj, targets["head"])
-    moved = [(target, turns, moves) for target in carried]
+    moved = [("Pose", target, turns, moves) for target in carried]
     for part, target in _part_targets(obj, targets):
-        moved.append((target, motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)], None))
-    placed = placements(scene, [target for target, _, _ in moved], frames, keep=keep)
+        if part in JAW_PARTS:
+            moved.append(("Jaw", target, motion.jaw, None))
+        else:
+            moved.append(("Eyes", target, motion.gaze[:, EYE_PARTS.index(part)], None))
+    placed = placements(scene, [target for _, target, _, _ in moved], frames, keep=keep)
     curves: dict[bpy.types.Object, list[Curve]] = {}
-    for (target, turns, moves), where in zip(moved, placed, strict=True):
-        curves.setdefault(target.obj, []).extend(target.curves(turns, moves, angle, length, where))
+    for (group, target, turns, moves), where in zip(moved, placed, strict=True):
+        found = target.curves(turns, moves, angle, length, where)
+        # Blender groups the curves of a bone by its name.
+        curves.setdefault(target.obj, []).extend(replace(curve, group=target.bone or group) for curve in found)
     for owner, owned in curves.items():
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         add = keep or owner.type != "ARMATURE"
-        silenced += write_curves(owner, name, frames, owned, nla=nla, add=add, leave_drivers=keep)
+        silenced += write_curves(owner, name, frames, owned, action=action, nla=nla, add=add, leave_drivers=keep)
         _keep_axis_angles_moving(scene, owner, frames)
     for child in filter(has_tongue, obj.children):
-        curve = Curve(value_path(TONGUE_KEY), 0, motion.actions[:, TONGUE], _TONGUE_ERROR if clean else None)
+        stuck_out = motion.actions[:, TONGUE]
+        curve = Curve(value_path(TONGUE_KEY), 0, stuck_out, _TONGUE_ERROR if clean else None, group="Mouth")
         name = f"{child.name} Expression"
-        silenced += write_curves(keys_of(child), name, frames, [curve], nla=nla, add=keep, leave_drivers=keep)
+        how = {"nla": nla, "add": keep, "leave_drivers": keep}
+        silenced += write_curves(keys_of(child), name, frames, [curve], action=action, **how)
     return silenced
 
 
-def _animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
+def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
     """Return all data-blocks that a bake or a session of a head may animate. Parameters are as for `check_bakeable`."""
     keys = [mesh_of(member.obj).shape_keys for member in members_of(obj)]
     keys += [mesh_of(child).shape_keys for child in filter(has_tongue, obj.children)]
@@ -219,7 +242,7 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
     An action that another character plays too is left to it. Parameters are as for `check_bakeable`.
     """
-    make_actions_own(_animated_owners(obj, targets))
+    make_actions_own(animated_owners(obj, targets))
     for member in members_of(obj):
         remove_baked_keys(member.obj)
         remove_cache(member.obj)

@@ -8,24 +8,26 @@ compared with it, has to contain them.
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.fit import MotionBasis
+from ...core.bake.curves import BezierCurve, fit_key_curves
 from ...core.errors import HeadError
-from ...core.heads.key_map import ESSENTIAL, best_preset
+from ...core.heads.key_map import ESSENTIAL, best_preset, curve_groups, known_expressions
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, head_of, members_of
-from ..fcurves import drivers_of
+from ..fcurves import CharacterAction, drivers_of
 from ..frames import from_blender
 from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of, read_vertices
 from ..muting import Silenced, keyed_paths, varying_paths
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 
+RESIDUAL = "Residual"
+"""Name of the group of curves, and of the keys after their prefix, for what named keys cannot show."""
 _KEY_BLOCKS = "key_blocks["
 """What the data path of a shape key contains, from its data-block, its mesh or its object."""
 
@@ -121,6 +123,15 @@ class MeshKeys:
         rows = [self.names.index(name) for name in names]
         return MeshKeys(tuple(names), self.offsets[rows], self.lower[rows], self.upper[rows])
 
+    def joined(self, other: MeshKeys) -> MeshKeys:
+        """Return the keys of both."""
+        return MeshKeys(
+            names=self.names + other.names,
+            offsets=np.concatenate([self.offsets, other.offsets]),
+            lower=np.concatenate([self.lower, other.lower]),
+            upper=np.concatenate([self.upper, other.upper]),
+        )
+
 
 def moving_key_names(members: Sequence[Member]) -> list[str]:
     """Return the names of the user's shape keys of a head that move a vertex: characters may have empty ones."""
@@ -136,11 +147,23 @@ def moving_key_names(members: Sequence[Member]) -> list[str]:
 def has_known_set(obj: bpy.types.Object) -> bool:
     """Return whether a character has a known set of keys for the complete face.
 
-    The built-in head counts as having none, as its skin shows more than its keys.
+    A built-in head counts as having none, as its skin shows more than its keys.
     """
-    if any(PART_PROPERTY in child for child in obj.children):
-        return False
-    preset = best_preset(moving_key_names(members_of(obj)))
+    return not _is_built_in(obj) and _knows(moving_key_names(members_of(obj)))
+
+
+def has_own_expressions(obj: bpy.types.Object) -> bool:
+    """Return whether a built-in head has shape keys for the complete face."""
+    names = moving_key_names(members_of(obj)) if _is_built_in(obj) else []
+    return _knows(names) or len(known_expressions(names)) > len(ESSENTIAL)
+
+
+def _is_built_in(obj: bpy.types.Object) -> bool:
+    return any(PART_PROPERTY in child for child in obj.children)
+
+
+def _knows(names: Sequence[str]) -> bool:
+    preset = best_preset(names)
     return preset is not None and preset.sources >= ESSENTIAL
 
 
@@ -196,69 +219,100 @@ def value_path(name: str) -> str:
     return f'key_blocks["{bpy.utils.escape_identifier(name)}"].value'
 
 
-def bake_new_keys(
-    members: Sequence[Member],
-    basis: MotionBasis,
-    frames: NDArray[np.floating[Any]],
-    *,
-    clean: float = 0.0,
-    nla: bool = False,
-) -> list[Silenced]:
-    """Add shape keys to the meshes of a head and animate them like `bake_values`; those of one name move together."""
-    names = [f"{BAKED_KEY_PREFIX}{i + 1:02d}" for i in range(len(basis.modes))]
-    for obj, offsets in ((member.obj, member.local_offsets(basis.modes)) for member in members):
+def add_keys(members: Sequence[Member], names: Sequence[str], offsets: NDArray[np.floating[Any]]) -> None:
+    """Add shape keys, from -1 to 1, to the meshes of a head by their displacements (K, A, 3)."""
+    for obj, own in ((member.obj, member.local_offsets(offsets)) for member in members):
         if mesh_of(obj).shape_keys is None:
             obj.shape_key_add(name="Basis", from_mix=False)
         rest = key_points(keys_of(obj).reference_key)
-        for name, mode in zip(names, offsets, strict=True):
+        for name, mode in zip(names, own, strict=True):
             key = obj.shape_key_add(name=name, from_mix=False)
             key.points.foreach_set("co", (rest + mode).reshape(-1))
             key.slider_min, key.slider_max = -1.0, 1.0
             key.value = 0.0
-    values = dict(zip(names, basis.weights.T, strict=True))
-    return bake_values(members, values, frames, basis.modes, clean=clean, nla=nla)
+
+
+@dataclass(frozen=True)
+class KeyCurves:
+    """Values of shape keys of a head over some frames.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of K keys.
+    values : (N, K) array
+        Values in each frame.
+    fitted : tuple of BezierCurve or None
+        Their keyframes, if these are fewer than the frames.
+    groups : mapping
+        Names of the groups of curves, by key; for no other.
+    """
+
+    names: tuple[str, ...]
+    values: NDArray[np.floating[Any]]
+    fitted: tuple[BezierCurve | None, ...]
+    groups: Mapping[str, str]
+
+    @classmethod
+    def of(
+        cls, keys: MeshKeys, values: NDArray[np.floating[Any]], tolerance: float, residual: Collection[str] = ()
+    ) -> KeyCurves:
+        """Return the curves of keys, fitted as by `fitted_within`; those named in `residual` have their own group."""
+        groups = curve_groups([name for name in keys.names if name not in residual])
+        every = cls(keys.names, values, (None,) * len(keys.names), {**groups, **dict.fromkeys(residual, RESIDUAL)})
+        return every.fitted_within(keys, tolerance)
+
+    def fitted_within(self, keys: MeshKeys, tolerance: float) -> KeyCurves:
+        """Fit the curves within a tolerance in the unit of the head; 0 keeps a keyframe in each frame."""
+        fitted: Sequence[BezierCurve | None] = [None] * len(keys.names)
+        if tolerance > 0.0:
+            fitted = fit_key_curves(self.values, keys.offsets, tolerance, keys.lower, keys.upper)
+        return replace(self, fitted=tuple(fitted))
+
+    @property
+    def keyframes(self) -> int:
+        """Number of keyframes of all keys."""
+        return sum(len(self.values) if curve is None else len(curve.rows) for curve in self.fitted)
 
 
 def bake_values(
     members: Sequence[Member],
-    values: Mapping[str, NDArray[np.floating[Any]]],
+    keys: KeyCurves,
     frames: NDArray[np.floating[Any]],
-    offsets: NDArray[np.floating[Any]],
     *,
-    clean: float = 0.0,
+    action: CharacterAction | None = None,
     nla: bool = False,
     keep: bool = False,
 ) -> list[Silenced]:
-    """Animate existing shape keys of a head on each of its meshes that has them and does not make them follow others.
+    """Animate shape keys of a head on each of its meshes that has them and does not make them follow others.
 
     Parameters
     ----------
-    values : mapping
-        Values of each key by its name, (N,).
-    offsets : (K, A, 3) array
-        Displacements of the keys at value 1.
-    clean : float
-        Error of a vertex allowed when removing keyframes, in the unit of the head; 0 keeps all keyframes.
+    frames : (N,) array
+        Frames of the values.
+    action : CharacterAction, optional
+        As for `write_curves`.
     nla : bool
         Whether to use an NLA track.
     keep : bool
         Whether other animation of the keys is added to, and drivers are left, instead of muting them.
     """
-    peaks = np.sqrt(np.square(offsets).sum(axis=2).max(axis=1, initial=0.0))
-    curves = {}
-    for (name, curve), peak in zip(values.items(), peaks, strict=True):
-        tolerance = clean / (len(peaks) * max(float(peak), 1e-9)) if clean > 0.0 else None
-        curves[name] = Curve(value_path(name), 0, curve, tolerance)
+    curves = {
+        name: Curve(value_path(name), 0, values, fitted=fitted, group=keys.groups[name])
+        for name, values, fitted in zip(keys.names, keys.values.T, keys.fitted, strict=True)
+    }
     silenced, family = [], family_keys(members)
     for obj in (member.obj for member in members):
-        if (keys := mesh_of(obj).shape_keys) is not None:
+        if (own_keys := mesh_of(obj).shape_keys) is not None:
             obj.show_only_shape_key = False
-            following = following_paths(keys, family)
+            following = following_paths(own_keys, family)
             own = [
-                curve for name, curve in curves.items() if name in keys.key_blocks and curve.data_path not in following
+                curve
+                for name, curve in curves.items()
+                if name in own_keys.key_blocks and curve.data_path not in following
             ]
             name = f"{obj.name} Expression"
-            silenced += write_curves(keys, name, frames, own, nla=nla, add=keep, leave_drivers=keep)
+            silenced += write_curves(own_keys, name, frames, own, action=action, nla=nla, add=keep, leave_drivers=keep)
     return silenced
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
-from ...core.bake.fit import fit_basis, fit_keys, mix_errors
+from ...core.bake.fit import MotionBasis, fit_basis, fit_keys, mix_errors
 from ...core.bake.point_cache import SUFFIX
+from ...core.bake.whole_frames import curves_at, motion_at, whole_frames
 from ...core.drive.driver import HeadMotion, drive_take
 from ...core.errors import HeadError, Message, OutputError
 from ...core.heads.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
@@ -22,26 +23,48 @@ from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of
+from ..fcurves import CharacterAction
 from ..meshes import driven_by_keys, key_names, mesh_of
 from ..muting import Silenced, name_them
+from ..names import BAKED_KEY_PREFIX
 from ..rigs import read_rig
-from ..timeline import frames_of
-from .bake import Targets, bake_pose, check_bakeable, check_range, pose_targets_of, remove_baked
+from ..timeline import frames_of, keyed_frame, shown_frames
+from .bake import (
+    Targets,
+    animated_owners,
+    bake_pose,
+    can_add_keys,
+    check_bakeable,
+    check_range,
+    pose_targets_of,
+    remove_baked,
+)
 from .bake_keys import (
+    RESIDUAL,
+    KeyCurves,
     MeshKeys,
-    bake_new_keys,
+    add_keys,
     bake_values,
     has_known_set,
+    has_own_expressions,
     moving_key_names,
     read_keys,
 )
 from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
+from .refit import LastBake
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .targets import own_targets
 
 TOLERANCE = 0.009
 """Error allowed for a basis of new shape keys, in eye distances."""
+_RESIDUAL_TOLERANCE = 0.02
+"""The same for keys beside named ones. On the five shared clips named keys alone err by 12 to 25 %, with 13 to 24 more
+by 2 % (50 on the liveliest); 1 % takes as many more as a basis without any."""
+_ANGLE = 0.4
+"""Error of a quaternion's components for each eye distance that the curves may err: turned by twice that angle, skin at
+about 1.3 eye distances from the neck moves as far.
+"""
 _DEFAULTS = PuppetSettings()
 
 
@@ -59,6 +82,10 @@ class PuppetReport:
         Number of shape keys; 0 for a cache.
     worst_error : float
         Largest error of a vertex in a frame, in outer-eye distances; NaN for a head that only its keys drive.
+    named_error : float
+        That without residual keys; NaN if there are none.
+    keyframes, frames : int
+        Number of keyframes of the shape keys, and that with one in each frame.
     others : tuple of str
         Other actions and NLA tracks that move shape keys of the character.
     start : float
@@ -71,6 +98,9 @@ class PuppetReport:
     worst_error: float
     neutral: Neutral
     motion: HeadMotion
+    named_error: float = float("nan")
+    keyframes: int = 0
+    frames: int = 0
     others: tuple[str, ...] = ()
     start: float = 1.0
     notes: tuple[str, ...] = ()
@@ -87,12 +117,27 @@ class PuppetReport:
         return [*warnings, *self.notes]
 
     def summary(self) -> str:
-        """Return the number of shape keys and the error as text."""
+        """Return the number of shape keys, the error and the number of keyframes as text."""
         if not self.keys:
             return Message("exact for every vertex")
-        if np.isnan(self.worst_error):
-            return Message("{keys} shape keys", keys=self.keys)
+        if not 0 < self.keyframes < self.frames:
+            return self._keys()
+        times = f"{self.frames / self.keyframes:.1f}"
+        curves = Message("{count} keyframes, {times} times fewer than frames", count=self.keyframes, times=times)
+        return Message("{keys}; {curves}", keys=self._keys(), curves=curves)
+
+    def _keys(self) -> Message:
         keys, error = self.keys, f"{100 * self.worst_error:.2g}"
+        if np.isnan(self.worst_error):
+            return Message("{keys} shape keys", keys=keys)
+        if not np.isnan(self.named_error):
+            named = f"{100 * self.named_error:.2g}"
+            return Message(
+                "{keys} shape keys, largest error {error} % of the eye distance ({named} % without the residual keys)",
+                keys=keys,
+                error=error,
+                named=named,
+            )
         if self.worst_error > _POOR:
             return Message(
                 "{keys} shape keys, which cannot reproduce all of the motion: "
@@ -123,30 +168,73 @@ def puppet_head(
     take, neutral = performance.take, performance.neutral
     motion = drive_take(performance.driver(rig), take)
     start = start_frame(scene, bake.start)
-    unit, frames, whole = rig.eye_distance, *(frames_of(scene, times, start) for times in (motion.times, take.times))
+    unit, frames, shown = rig.eye_distance, *(frames_of(scene, times, start) for times in (motion.times, take.times))
     check_range(take, frames)
+    timing = _Timing.of(scene, frames, bake)
     if bake.keys == "mapped":
-        motion, plan = _mapped(obj, motion, frames, unit, bake, arkit_coefficients(take, neutral, settings.drive))
+        motion, plan = _mapped(obj, motion, timing, unit, bake, arkit_coefficients(take, neutral, settings.drive))
     else:
-        plan = _PLANS[bake.keys](obj, motion, frames, unit, bake)
+        plan = _PLANS[bake.keys](obj, motion, timing, unit, bake)
     remove_baked(obj, targets)
-    silenced = plan.write()
+    action = CharacterAction(obj.name, animated_owners(obj, targets))
+    silenced = plan.write(action)
     follow = {"rotation": settings.rotation, "translation": settings.translation}
-    clean = (bake.clean, bake.clean * unit) if bake.clean > 0.0 else None
+    clean = (_ANGLE * bake.clean, bake.clean * unit) if timing.is_whole and bake.clean > 0.0 else None
     how = {"nla": bake.nla, "keep": bake.keep_animation}
-    silenced += bake_pose(scene, obj, targets, motion, frames, **follow, clean=clean, **how)
+    posed = timing.motion(motion)
+    silenced += bake_pose(scene, obj, targets, posed, timing.keyed, **follow, clean=clean, action=action, **how)
     if not bake.keep_animation and not bake.writes_cache:
         silenced += mute_disturbing(obj, motion)
-    fit_range(scene, whole, bake.start, asked=bake.fit_range)
+    fit_range(scene, shown, bake.start, asked=bake.fit_range)
     if bake.keys == "alembic" and bake.path is not None:
-        with holding_take(scene, whole):
+        with holding_take(scene, shown):
             parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
-    error = plan.error / unit + (bake.clean if plan.keys else 0.0)
     unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow)]
-    notes = tuple(filter(None, [_what_was_muted(silenced), *unseen_for, outside_range(scene, whole)]))
+    notes = tuple(filter(None, [_what_was_muted(silenced), *unseen_for, outside_range(scene, shown)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))
-    return PuppetReport(plan.keys, error, neutral, motion, others, start, notes)
+    added = bake.clean if clean is not None and plan.keys else 0.0
+    return PuppetReport(
+        plan.keys,
+        plan.error / unit + added,
+        neutral,
+        motion,
+        plan.named_error / unit + added,
+        plan.keyframes,
+        plan.keys * len(timing.keyed),
+        others,
+        start,
+        notes,
+    )
+
+
+@dataclass(frozen=True)
+class _Timing:
+    """The frames of a motion, (N,), and those of its keyframes, (M,), which are the same unless they are whole."""
+
+    frames: FloatArray
+    keyed: FloatArray
+
+    @classmethod
+    def of(cls, scene: bpy.types.Scene, frames: FloatArray, bake: BakeSettings) -> _Timing:
+        if not bake.whole_frames or bake.writes_cache:
+            return cls(frames, frames)
+        # Time Stretching shows keyframes in other frames.
+        whole = whole_frames(shown_frames(scene, frames))
+        return cls(frames, np.array([keyed_frame(scene, frame) for frame in whole]))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether keyframes are on whole frames."""
+        return self.keyed is not self.frames
+
+    def curves(self, values: FloatArray) -> FloatArray:
+        """Return curves (N, K) in the frames of the keyframes, (M, K)."""
+        return curves_at(self.frames, values, self.keyed) if self.is_whole else values
+
+    def motion(self, motion: HeadMotion) -> HeadMotion:
+        """Return a motion in these frames, without its vertices."""
+        return motion_at(self.frames, motion, self.keyed) if self.is_whole else motion
 
 
 def _what_was_muted(silenced: Sequence[Silenced]) -> str:
@@ -187,8 +275,9 @@ def _chosen(obj: bpy.types.Object, bake: BakeSettings) -> BakeSettings:
     """Resolve "automatic" for `obj`, which depends on the keys it has."""
     if bake.keys != AUTOMATIC:
         return bake
-    mapped = driven_by_keys(obj) or has_known_set(obj)
-    return replace(bake, keys="mapped") if mapped else replace(bake, keys="new", table=None)
+    if driven_by_keys(obj) or has_known_set(obj):
+        return replace(bake, keys="mapped")
+    return replace(bake, keys="named" if has_own_expressions(obj) else "new", table=None)
 
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:
@@ -204,38 +293,69 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
 
 @dataclass(frozen=True)
 class _Plan:
-    """A bake that was computed but not written yet: number of keys, error in the mesh's unit, and its writer.
+    """A bake that was computed but not written yet.
 
-    The writer returns what it muted.
+    Attributes
+    ----------
+    keys : int
+        Number of shape keys.
+    error, named_error : float
+        As in `PuppetReport`, in the unit of the mesh.
+    write : callable
+        Writes it, and returns what it muted.
+    keyframes : int
+        Number of keyframes of the shape keys.
     """
 
     keys: int
     error: float
-    write: Callable[[], list[Silenced]]
+    write: Callable[[CharacterAction], list[Silenced]]
+    named_error: float = float("nan")
+    keyframes: int = 0
 
 
-def _new(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
+def _new(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
     basis = fit_basis(motion.vertices, TOLERANCE * unit, bake.max_keys)
-    clean = bake.clean * unit
-    return _Plan(
-        len(basis.modes),
-        basis.worst_error,
-        lambda: bake_new_keys(members_of(obj), basis, frames, clean=clean, nla=bake.nla),
-    )
+    keys = _added_keys(basis, "")
+    return _values_plan(obj, keys, basis.weights, timing, unit, bake, basis.worst_error, added=keys)
 
 
-def _named(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
+def _added_keys(basis: MotionBasis, kind: str) -> MeshKeys:
+    """Return the keys that a bake adds for a basis, which are numbered."""
+    names = tuple(f"{BAKED_KEY_PREFIX}{kind}{number + 1:02d}" for number in range(len(basis.modes)))
+    ends = np.ones(len(names))
+    return MeshKeys(names, basis.modes, -ends, ends)
+
+
+def _named(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
     keys = read_keys(members_of(obj))
     keys = keys.chosen(expression_keys(keys.names))
     fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper, exclusive_keys(keys.names))
-    values = dict(zip(keys.names, fit.weights.T, strict=True))
-    return _values_plan(obj, keys, values, fit.worst_error, frames, unit, bake)
+    if not (bake.residual and can_add_keys(obj)):
+        return _values_plan(obj, keys, fit.weights, timing, unit, bake, fit.worst_error)
+    shown = np.einsum("nk,kvc->nvc", fit.weights.astype(np.float32), keys.offsets, optimize=True)
+    basis = fit_basis(motion.vertices - shown, _RESIDUAL_TOLERANCE * unit, bake.max_keys)
+    if not len(basis.modes):
+        return _values_plan(obj, keys, fit.weights, timing, unit, bake, fit.worst_error)
+    added = _added_keys(basis, f"{RESIDUAL} ")
+    weights = np.column_stack([fit.weights, basis.weights])
+    return _values_plan(
+        obj,
+        keys.joined(added),
+        weights,
+        timing,
+        unit,
+        bake,
+        basis.worst_error,
+        added=added,
+        named_error=fit.worst_error,
+    )
 
 
 def _mapped(
     obj: bpy.types.Object,
     motion: HeadMotion,
-    frames: FloatArray,
+    timing: _Timing,
     unit: float,
     bake: BakeSettings,
     coefficients: FloatArray,
@@ -255,7 +375,7 @@ def _mapped(
         motion, error = replace(motion, vertices=mixed), float("nan")
     else:
         error, _ = mix_errors(motion.vertices, keys.offsets, weights)
-    return motion, _values_plan(obj, keys, values, error, frames, unit, bake)
+    return motion, _values_plan(obj, keys, weights, timing, unit, bake, error)
 
 
 def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
@@ -287,27 +407,38 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
 def _values_plan(
     obj: bpy.types.Object,
     keys: MeshKeys,
-    values: dict[str, FloatArray],
-    error: float,
-    frames: FloatArray,
+    weights: FloatArray,
+    timing: _Timing,
     unit: float,
     bake: BakeSettings,
+    error: float,
+    *,
+    added: MeshKeys | None = None,
+    named_error: float = float("nan"),
 ) -> _Plan:
-    def write() -> list[Silenced]:
-        clean = bake.clean * unit
+    """Plan a bake of weights (N, K) of keys, of which those in `added` do not exist yet."""
+    residual = () if added is None or added is keys else added.names
+    tolerance = bake.clean * unit if timing.is_whole else 0.0
+    curves = KeyCurves.of(keys, timing.curves(weights), tolerance, residual)
+
+    def write(action: CharacterAction) -> list[Silenced]:
         members = members_of(obj)
-        return bake_values(members, values, frames, keys.offsets, clean=clean, nla=bake.nla, keep=bake.keep_animation)
+        if added is not None:
+            add_keys(members, added.names, added.offsets)
+        fits_again = timing.is_whole and not (bake.nla or bake.keep_animation)
+        LastBake.current = LastBake(obj.name, keys, curves, timing.keyed, unit) if fits_again else None
+        return bake_values(members, curves, timing.keyed, action=action, nla=bake.nla, keep=bake.keep_animation)
 
-    return _Plan(len(values), error, write)
+    return _Plan(len(keys.names), error, write, named_error, curves.keyframes)
 
 
-def _cache(obj: bpy.types.Object, motion: HeadMotion, frames: FloatArray, unit: float, bake: BakeSettings) -> _Plan:
+def _cache(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
     if bake.path is None:
         raise OutputError("The cache has no file name. Give it a path.")
     path = bake.path.with_suffix(SUFFIX)
 
-    def write() -> list[Silenced]:
-        bake_cache(members_of(obj), motion, frames, path)
+    def write(_: CharacterAction) -> list[Silenced]:
+        bake_cache(members_of(obj), motion, timing.frames, path)
         return []
 
     return _Plan(0, 0.0, write)

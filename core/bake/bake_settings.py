@@ -22,14 +22,20 @@ class BakeSettings:
     Attributes
     ----------
     keys : {"automatic", "new", "named", "mapped", "cache", "alembic"}
-        "automatic" is "mapped" for a character with a known set of shape keys, and otherwise "new". "new" adds shape
-        keys. "named" fits the mesh's existing shape keys to the motion of its vertices. "mapped" sets them from ARKit's
-        coefficients by a key mapping. "cache" writes a point cache for the Mesh Cache modifier, and "alembic" also an
-        Alembic file.
+        "automatic" is "named" for a built-in head with shape keys for expressions, "mapped" for another character with
+        a known set, and otherwise "new". "new" adds shape keys. "named" fits the mesh's existing shape keys to the
+        motion of its vertices. "mapped" sets them from ARKit's coefficients by a key mapping. "cache" writes a point
+        cache for the Mesh Cache modifier, and "alembic" also an Alembic file.
     max_keys : int
         Maximum number of new shape keys; the report states the error.
+    residual : bool
+        Whether "named" also adds shape keys for what the existing ones cannot show.
+    whole_frames : bool
+        Whether keyframes are on whole frames of the scene. Otherwise they are at the times of the take, one for each of
+        its frames, and linear.
     clean : float
-        Error of the vertices allowed when removing keyframes, in eye distances; 0 keeps all keyframes.
+        Error of the vertices that fewer keyframes on whole frames may cause, in eye distances; with 0, each frame has a
+        keyframe.
     nla : bool
         Whether the curves go onto an NLA track instead of the active action.
     keep_animation : bool
@@ -53,7 +59,8 @@ class BakeSettings:
             Choice(
                 AUTOMATIC,
                 "Automatic",
-                "Use the shape keys of a character with a known set, such as ARKit's or VRM's; otherwise add new ones",
+                "Use shape keys for expressions if the character has a known set, such as ARKit's or VRM's; "
+                "otherwise add new ones",
                 5,
             ),
             Choice("new", "New Shape Keys", "Add as few shape keys as the motion needs", 0),
@@ -74,10 +81,20 @@ class BakeSettings:
         ),
     )
     max_keys: int = setting(64, "Max Keys", "Maximum number of new shape keys", low=1, high=512)
+    residual: bool = setting(
+        True,
+        "Residual Keys",
+        "Add shape keys for what the existing ones cannot show, in a group of curves that can be muted",
+    )
+    whole_frames: bool = setting(
+        True,
+        "Whole Frames",
+        "Put keyframes on whole frames of the scene, as few as Detail needs; otherwise at the times of the take",
+    )
     clean: float = setting(
-        0.0,
-        "Clean Curves",
-        "Error allowed when removing keyframes, relative to the eye distance; 0 keeps every frame",
+        0.005,
+        "Curve Error",
+        "Error that fewer keyframes may cause, relative to the eye distance; 0 gives every frame a keyframe",
         low=0.0,
         high=0.1,
         soft_high=0.02,

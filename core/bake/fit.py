@@ -1,6 +1,5 @@
 """The motion of vertices as shape keys: a small basis of new ones, in place of one per frame (method.md, section 9.1),
-or those that a mesh already has, fitted (section 9.2); no keyframes that straight lines between the others replace
-(section 9.5).
+or those that a mesh already has, fitted (section 9.2).
 """
 
 from __future__ import annotations
@@ -134,34 +133,6 @@ def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode:
         points = part.reshape(len(part), -1, 3)
         worst = max(worst, float(np.einsum("nvc,nvc->nv", points, points).max(initial=0.0)))
     return float(np.sqrt(worst))
-
-
-def needed_keys(times: FloatArray, values: FloatArray, tolerance: float) -> NDArray[np.intp]:
-    """Select the keyframes that a polyline needs to stay within a tolerance of all keyframes: ascending indices.
-
-    The algorithm of Douglas & Peucker 1973, without recursion. Errors are differences in value at the same time, in the
-    unit of the values; they are bounded at the keyframes, and therefore everywhere, as the curve between them is
-    straight. A tolerance of 0 keeps every keyframe that is off the line.
-    """
-    count = len(values)
-    if count < 3:
-        return np.arange(count)
-    kept = np.zeros(count, dtype=np.bool_)
-    kept[[0, count - 1]] = True
-    spans = [(0, count - 1)]
-    while spans:
-        first, last = spans.pop()
-        if last - first < 2:
-            continue
-        inner = slice(first + 1, last)
-        share = (times[inner] - times[first]) / (times[last] - times[first])
-        away = np.abs(values[inner] - values[first] - share * (values[last] - values[first]))
-        worst = int(np.argmax(away))
-        if away[worst] > tolerance:
-            middle = first + 1 + worst
-            kept[middle] = True
-            spans += [(first, middle), (middle, last)]
-    return np.flatnonzero(kept)
 
 
 @dataclass(frozen=True)

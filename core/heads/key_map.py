@@ -40,6 +40,16 @@ _FIRMNESS = 1e5
 double precision."""
 _MIN_GAIN = 0.01
 """Smallest learnt gain that is kept."""
+_GROUPS = {
+    "Brows": ("brow",),
+    "Eyes": ("eye", "lid", "blink"),
+    "Jaw": ("jaw",),
+    "Mouth": ("mouth", "tongue", "lip", "smile", "phoneme"),
+    "Cheeks and Nose": ("cheek", "nose", "sneer"),
+}
+"""For each group of curves, what coefficients and other names of it contain."""
+_OTHERS = "Face"
+"""Group of all other curves."""
 
 
 @dataclass(frozen=True)
@@ -300,6 +310,17 @@ def known_expressions(keys: Sequence[str]) -> list[str]:
     """Return those of `keys` that are in any preset, or that FaceGen's heads name as expressions."""
     known = {key for preset in presets() for key in preset.matched(keys, ranked=False).keys}
     return [key for key in keys if key in known or is_facial_morph(key)]
+
+
+def curve_groups(keys: Sequence[str]) -> dict[str, str]:
+    """Return the name of the group of curves for each of `keys`, by what it moves."""
+    sources = {row.key: row.source for preset in reversed(presets()) for row in preset.matched(keys, ranked=False).rows}
+    return {key: _group(sources.get(key, key)) for key in keys}
+
+
+def _group(name: str) -> str:
+    words = normalised(name)
+    return next((group for group, parts in _GROUPS.items() if any(part in words for part in parts)), _OTHERS)
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:

@@ -42,11 +42,12 @@ def bake_tables(take: Take) -> list[Table]:
 
 def _bakes(take: Take, level: int, folder: Path) -> dict[str, tuple[int, float, float]]:
     """Number of keys, largest error and seconds of each bake, by name."""
-    bakes = {f"at most {count} new keys": BakeSettings(max_keys=count) for count in COUNTS}
-    bakes["new keys, within 0.9 %"] = BakeSettings()
-    bakes["the same, `--clean 0.5`"] = BakeSettings(clean=0.005)
+    bakes = {f"at most {count} new keys": BakeSettings(keys="new", max_keys=count) for count in COUNTS}
+    bakes["new keys, within 0.9 %"] = BakeSettings(keys="new")
+    bakes["the same, a keyframe in each frame"] = BakeSettings(keys="new", clean=0.0)
     if not level:
-        bakes["ARKit's keys, fitted"] = BakeSettings(keys="named")
+        bakes["ARKit's keys, fitted"] = BakeSettings(keys="named", residual=False)
+        bakes["ARKit's keys and residual ones"] = BakeSettings(keys="named")
         bakes["ARKit's keys, mapped"] = BakeSettings(keys="mapped")
     bakes["Mesh Cache"] = BakeSettings(keys="cache", path=folder / "bake.pc2")
     found = {}

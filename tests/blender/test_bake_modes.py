@@ -12,6 +12,7 @@ from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
 from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import Follow, LiveHeadObject
 from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_heads
+from facemime.blender.animation.refit import keyframe_count
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.characters import members_of
 from facemime.blender.frames import from_blender, rotation_to_blender
@@ -37,7 +38,8 @@ def _at_the_takes_rate(_empty_file):
 
 def bake(head: bpy.types.Object, targets=None, **options) -> PuppetReport:
     """Bake the performance, relative to its first second, in which it rests."""
-    settings = PuppetSettings(bake=BakeSettings(**options), translation=True, neutral=0.0)
+    bake = BakeSettings(**{"whole_frames": False, **options})
+    settings = PuppetSettings(bake=bake, translation=True, neutral=0.0)
     return puppet_head(bpy.context.scene, head, performance(), settings, targets)
 
 
@@ -96,12 +98,59 @@ def test_a_limit_on_keys_is_kept_and_increases_the_error():
     assert largest_error(head, two) <= two.worst_error + 1e-4
 
 
-def test_clean_curves_have_fewer_keyframes():
+def test_curves_on_whole_frames_have_few_keyframes_and_stay_within_their_error():
     head = add_head(bpy.context)
-    bake(head)
-    every = sum(len(curve.keyframe_points) for curve in curves_of(head.data.shape_keys))
-    bake(head, clean=0.01)
-    assert sum(len(curve.keyframe_points) for curve in curves_of(head.data.shape_keys)) < every / 2
+    bpy.context.scene.render.fps = 25
+    report = bake(head, whole_frames=True, clean=0.01)
+    points = [point for curve in curves_of(head.data.shape_keys) for point in curve.keyframe_points]
+    assert len(points) == report.keyframes < report.frames / 3
+    assert all(point.co.x == round(point.co.x) and point.interpolation == "BEZIER" for point in points)
+    assert largest_error(head, report) <= report.worst_error + 1e-4
+    every = bake(head, whole_frames=True, clean=0.0)
+    assert every.keyframes == every.frames == every.keys * len(performance().times)
+
+
+def test_named_keys_show_all_of_the_motion_with_residual_keys_in_a_group_of_their_own():
+    head = add_head(bpy.context, units=True)
+    bpy.context.scene.render.fps = 25
+    named = bake(head, keys="named", residual=False)
+    both = bake(head, keys="automatic", whole_frames=True)
+    assert both.worst_error < both.named_error == pytest.approx(named.worst_error + 0.005, abs=1e-3)
+    assert largest_error(head, both) <= both.worst_error + 1e-4
+    curves = curves_of(head.data.shape_keys)
+    groups = {curve.data_path.split('"')[1]: curve.group.name for curve in curves}
+    assert {groups[name] for name in groups if name.startswith("Facemime Residual")} == {"Residual"}
+    assert groups["jawOpen"] == "Jaw" and groups["browInnerUp"] == "Brows" and groups["eyeBlinkLeft"] == "Eyes"
+    # Muting the group leaves what the named keys show.
+    for curve in curves:
+        curve.mute = curve.group.name == "Residual"
+    for key in head.data.shape_keys.key_blocks:
+        key.value = 0.0 if key.name.startswith("Facemime") else key.value
+    assert named.worst_error / 2 < largest_error(head, both) <= both.named_error + 1e-4
+
+
+def test_a_character_has_one_action_where_actions_have_slots():
+    head = add_head(bpy.context, units=True)
+    for _ in range(2):
+        bake(head, keys="automatic", whole_frames=True)
+        owners = [head, head.data.shape_keys, *head.children]
+        actions = {data.action for owner in owners if (data := owner.animation_data) is not None} - {None}
+        assert len(actions) == 1 or bpy.app.version < (4, 4)
+
+
+def test_detail_fits_the_last_bake_again_until_a_keyframe_is_changed():
+    head, settings = add_head(bpy.context, units=True), bpy.context.scene.facemime_takes.bake
+    first = bake(head, keys="automatic", whole_frames=True)
+    assert settings.detail == pytest.approx(75.0) and keyframe_count(head) == first.keyframes
+    settings.detail = 100.0
+    assert keyframe_count(head) == first.frames
+    settings.detail = 20.0
+    few = keyframe_count(head)
+    assert few < first.keyframes
+    curve = next(curve for curve in curves_of(head.data.shape_keys) if "jawOpen" in curve.data_path)
+    curve.keyframe_points[0].co.y += 0.1
+    settings.detail = 75.0
+    assert keyframe_count(head) == few and curve.keyframe_points[0].co.y > 0.05
 
 
 @pytest.mark.thorough

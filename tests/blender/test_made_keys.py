@@ -141,7 +141,7 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
     assert armature is not None and bones.head == "Head"
     unit = read_rig(head).eye_distance
     report = puppet_head(bpy.context.scene, head, performance(), MAPPED)
-    assert np.isnan(report.worst_error) and report.summary() == f"{report.keys} shape keys"
+    assert np.isnan(report.worst_error) and report.summary().startswith(f"{report.keys} shape keys; ")
     assert np.abs(report.motion.vertices).max() > 0.05 * unit
     assert np.ptp(values_at(head, {"arkit": "jawOpen", "vrm": "aa", "facegen": "Aah"}[name], range(1, 60, 4))) > 0.05
     bpy.context.scene.frame_set(40)

@@ -244,7 +244,7 @@ def test_a_bake_leaves_an_action_that_another_character_plays_to_it(shared):
     data = owners[1].animation_data_create()
     data.action = action
     if hasattr(action, "slots"):
-        data.action_slot = action.slots[0]
+        data.action_slot = owners[0].animation_data.action_slot
 
     def state():
         bpy.context.scene.frame_set(60)

@@ -29,7 +29,7 @@ def test_a_new_scene_has_the_defaults_of_the_command_line(in_a_project):
     scene = bpy.context.scene
     bake = bake_settings(scene.facemime_takes.bake, "take")
     shown = puppet_settings(scene.facemime)
-    assert (bake.keys, bake.max_keys, bake.clean, bake.nla) == ("automatic", 64, 0.0, False)
+    assert (bake.keys, bake.max_keys, bake.clean, bake.nla) == ("automatic", 64, 0.005, False)
     wanted = PuppetSettings()
     for ours, theirs in ((shown, wanted), (shown.drive, wanted.drive), (shown.drive.posing, wanted.drive.posing)):
         for name in settings_of(type(theirs)):

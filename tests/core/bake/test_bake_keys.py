@@ -1,4 +1,4 @@
-"""Computations of bakes: bounded least squares, fits of keys, tables, clean curves, caches."""
+"""Computations of bakes: bounded least squares, fits of keys, tables, caches."""
 
 import struct
 
@@ -10,7 +10,7 @@ from scipy.optimize import lsq_linear
 
 from facemime.core.bake.arkit import arkit_coefficients, coefficients_of
 from facemime.core.bake.coefficients import N_OBSERVED
-from facemime.core.bake.fit import fit_keys, mix_errors, needed_keys
+from facemime.core.bake.fit import fit_keys, mix_errors
 from facemime.core.bake.point_cache import in_between, write_point_cache
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
@@ -232,19 +232,6 @@ def test_gains_are_learnt_from_poses_and_undetermined_ones_stay():
     assert gains["mouthPucker", "Open"] == pytest.approx(0.5, abs=0.02)
     assert gains["browInnerUp", "Open"] == pytest.approx(0.7, abs=0.02)
     assert gains["jawOpen", "Other"] == 1.0 and min(gains.values()) > 0.0
-
-
-@given(seed=st.integers(0, 2**32 - 1), count=st.integers(1, 200), tolerance=st.floats(0.0, 0.5))
-def test_a_clean_curve_stays_within_the_tolerance(seed, count, tolerance):
-    rng = np.random.default_rng(seed)
-    times, values = np.cumsum(rng.uniform(0.1, 1.0, count)), np.cumsum(rng.normal(size=count)) * 0.1
-    kept = needed_keys(times, values, tolerance)
-    assert kept[0] == 0 and kept[-1] == count - 1
-    assert np.abs(np.interp(times, times[kept], values[kept]) - values).max() <= tolerance + 1e-9
-
-
-def test_a_straight_curve_needs_only_its_ends():
-    assert needed_keys(np.arange(9.0), 0.25 * np.arange(9.0), 0.0).tolist() == [0, 8]
 
 
 def test_a_point_cache_contains_every_sample(tmp_path):

@@ -1,0 +1,98 @@
+"""The keyframes of the last bake of shape keys, which *Detail* fits again for as long as nobody has changed them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import ClassVar
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.numeric.arrays import FloatArray
+from ..actions import baked_paths
+from ..characters import Member, members_of
+from ..fcurves import curves_in
+from ..meshes import mesh_of
+from .bake_keys import KeyCurves, MeshKeys, bake_values, value_path
+
+
+@dataclass(frozen=True)
+class LastBake:
+    """A bake of shape keys to the active actions of a head.
+
+    Attributes
+    ----------
+    head : str
+        Name of the head.
+    keys : MeshKeys
+        The K keys.
+    curves : KeyCurves
+        Their curves as they were written.
+    frames : (N,) array
+        Whole frames of the values.
+    unit : float
+        Eye distance of the head, in its unit.
+    """
+
+    current: ClassVar[LastBake | None] = None
+
+    head: str
+    keys: MeshKeys
+    curves: KeyCurves
+    frames: FloatArray
+    unit: float
+
+    def is_untouched(self, members: Sequence[Member]) -> bool:
+        """Whether all curves have the keyframes that the bake gave them."""
+        columns = {value_path(name): column for column, name in enumerate(self.curves.names)}
+        written = list(_curves_of(members))
+        return bool(written) and all(
+            fcurve.data_path in columns and np.array_equal(_points(fcurve), self._points(columns[fcurve.data_path]))
+            for fcurve in written
+        )
+
+    def _points(self, column: int) -> NDArray[np.float32]:
+        """Frames and values (P, 2) of the keyframes of a key."""
+        fitted = self.curves.fitted[column]
+        frames = self.frames if fitted is None else self.frames[fitted.rows]
+        values = self.curves.values[:, column] if fitted is None else fitted.values
+        return np.column_stack([frames, values]).astype(np.float32)
+
+
+def _points(fcurve: bpy.types.FCurve) -> NDArray[np.float32]:
+    flat = np.empty(2 * len(fcurve.keyframe_points), dtype=np.float32)
+    fcurve.keyframe_points.foreach_get("co", flat)
+    return flat.reshape(-1, 2)
+
+
+def _curves_of(members: Sequence[Member]) -> Iterator[bpy.types.FCurve]:
+    """Yield the curves of the shape keys of a head that a bake wrote to active actions."""
+    for member in members:
+        if (keys := mesh_of(member.obj).shape_keys) is not None:
+            baked = baked_paths(keys)
+            yield from (fcurve for fcurve in curves_in(keys.animation_data) if fcurve.data_path in baked)
+
+
+def keyframe_count(head: bpy.types.Object) -> int:
+    """Return the number of keyframes of the shape keys of a head that a bake wrote to active actions."""
+    counts = {fcurve.data_path: len(fcurve.keyframe_points) for fcurve in _curves_of(members_of(head))}
+    return sum(counts.values())
+
+
+def refit(error: float) -> bool:
+    """Fit the keyframes of the last bake again within an error in eye distances; 0 gives each frame a keyframe.
+
+    Return whether that was done: not if its head is gone, or a keyframe was changed.
+    """
+    last = LastBake.current
+    if last is None or (head := bpy.data.objects.get(last.head)) is None or head.type != "MESH":
+        return False
+    members = members_of(head)
+    if not last.is_untouched(members):
+        return False
+    curves = last.curves.fitted_within(last.keys, error * last.unit)
+    bake_values(members, curves, last.frames)
+    LastBake.current = replace(last, curves=curves)
+    return True
