@@ -151,7 +151,7 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
 @pytest.mark.thorough
 def test_a_character_bound_by_keys_is_baked_to_them_by_default(keyed):
     known, unknown = bind_keys(keyed()["head"]), make_character(rig=True)["head"]
-    assert puppet_head(bpy.context.scene, known, performance()).summary() == "52 shape keys"
+    assert puppet_head(bpy.context.scene, known, performance()).summary().startswith("52 shape keys; ")
     assert values_at(known, "jawOpen", range(1, 60, 4)).max() > 0.1
     head, _ = bind_character(unknown)
     report = puppet_head(bpy.context.scene, head, performance())
