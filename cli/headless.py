@@ -58,7 +58,7 @@ class Stage:
 def open_stage(job: PuppetJob) -> Stage:
     """Open the head of `job`, by default the built-in one in a new file, with its control points.
 
-    The built-in head has its face units as shape keys if the bake can use existing keys. Raises FacemimeError if a file
+    The built-in head has its face units as shape keys if the bake uses existing keys. Raises FacemimeError if a file
     cannot be read, the object does not exist, none or several have landmarks, or the head cannot be driven or baked.
     """
     settings = _settings(job)
@@ -143,7 +143,7 @@ def _points(path: Path) -> GreedySelection:
 def _built_in(bake: BakeSettings) -> bpy.types.Object:
     with STOPPING.holding():
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    return add_head(bpy.context, units=bake.uses_existing_keys or bake.keys == AUTOMATIC)
+    return add_head(bpy.context, units=bake.uses_existing_keys)
 
 
 def _look_through_camera() -> None:

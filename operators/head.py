@@ -40,7 +40,7 @@ class FACEMIME_OT_add_head(WorksInSteps, bpy.types.Operator):
             ("FACEGEN", "FaceGen", "Jane, a woman by FaceGen's makers, with her photographic skin and her own morphs"),
         ),
     )
-    units: BoolProperty(name="ARKit Shape Keys (52)", description="Add the shape keys of ARKit, all at 0", default=True)
+    units: BoolProperty(name="ARKit Shape Keys (52)", description="Add the shape keys of ARKit, all at 0")
     show_textures: BoolProperty(
         name="Show Textures", description="Show the textures of skin and eyes in Solid shading", default=True
     )

@@ -24,6 +24,7 @@ from ...core.takes.neutral import Neutral
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of
 from ..fcurves import CharacterAction
+from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
 from ..muting import Silenced, name_them
 from ..names import BAKED_KEY_PREFIX
@@ -171,6 +172,8 @@ def puppet_head(
     unit, frames, shown = rig.eye_distance, *(frames_of(scene, times, start) for times in (motion.times, take.times))
     check_range(take, frames)
     timing = _Timing.of(scene, frames, bake)
+    if settings.bake.keys == AUTOMATIC and bake.keys == "named":
+        add_missing_units(obj)
     if bake.keys == "mapped":
         motion, plan = _mapped(obj, motion, timing, unit, bake, arkit_coefficients(take, neutral, settings.drive))
     else:
@@ -277,7 +280,8 @@ def _chosen(obj: bpy.types.Object, bake: BakeSettings) -> BakeSettings:
         return bake
     if driven_by_keys(obj) or has_known_set(obj):
         return replace(bake, keys="mapped")
-    return replace(bake, keys="named" if has_own_expressions(obj) else "new", table=None)
+    given = can_add_keys(obj) and not key_names(obj) and built_in_head_of(obj) is not None
+    return replace(bake, keys="named" if given or has_own_expressions(obj) else "new", table=None)
 
 
 def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) -> HeadRig:

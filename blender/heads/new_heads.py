@@ -6,16 +6,18 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, HeadPart, load_head
+from ...core.heads.built_in import PART_NAMES, WOMAN_FILE, Head, HeadPart, load_head
 from ...core.heads.rig import Part
 from ..characters import write_kinds
 from ..frames import to_blender
-from ..meshes import mesh_of, write_landmarks, write_regions
+from ..meshes import key_names, mesh_of, read_vertices, write_landmarks, write_regions
 from ..names import PART_OBJECTS, PART_PROPERTY, TONGUE_KEY, UV_MAP
 from ..view_layers import select_alone
 from .attached import attach
 from .materials import head_materials, mouth_material
 
+_MOVED = 1e-5
+"""Distance in metres by which vertices of a built-in head may differ from where they were."""
 _RENDER_LEVELS = 2
 """Levels of subdivision of the skin in renders."""
 
@@ -56,6 +58,34 @@ def add_head(
                 _add_units(obj, part.vertices - part.pivot, (TONGUE_KEY,), part.units[out : out + 1])
     select_alone(context, skin)
     return skin
+
+
+def built_in_head_of(skin: bpy.types.Object) -> Head | None:
+    """Return the built-in head whose skin an object is, with its vertices at rest where they were; None if none."""
+    if not any(PART_PROPERTY in child for child in skin.children):
+        return None
+    vertices = _vertices_of(skin)
+    heads = (load_head(), load_head(WOMAN_FILE))
+    return next((head for head in heads if _are_same(head.vertices, vertices)), None)
+
+
+def _are_same(known: NDArray[np.float32], vertices: NDArray[np.float32]) -> bool:
+    return known.shape == vertices.shape and bool(np.allclose(known, vertices, atol=_MOVED))
+
+
+def add_missing_units(skin: bpy.types.Object) -> None:
+    """Add the 52 face units as shape keys to a built-in head whose skin has no keys of the user, and to its lashes."""
+    if key_names(skin) or (head := built_in_head_of(skin)) is None:
+        return
+    _add_units(skin, head.vertices, head.unit_names, head.units)
+    lashes = head.part("lashes")
+    for child in skin.children:
+        if child.get(PART_PROPERTY) == lashes.name and _are_same(lashes.vertices - lashes.pivot, _vertices_of(child)):
+            _add_units(child, lashes.vertices - lashes.pivot, head.unit_names, lashes.units)
+
+
+def _vertices_of(obj: bpy.types.Object) -> NDArray[np.float32]:
+    return read_vertices(mesh_of(obj)) if obj.type == "MESH" else np.empty((0, 3), dtype=np.float32)
 
 
 def _mesh(
@@ -112,7 +142,8 @@ def _add_units(
     """
     if not units.any():
         return
-    obj.shape_key_add(name="Basis", from_mix=False)
+    if mesh_of(obj).shape_keys is None:
+        obj.shape_key_add(name="Basis", from_mix=False)
     for name, offsets in zip(names, units, strict=True):
         key = obj.shape_key_add(name=name, from_mix=False)
         points = np.ascontiguousarray(to_blender(rest + offsets), dtype=np.float32)

@@ -42,7 +42,7 @@ def test_a_baked_head_plays_back_the_driven_vertices_and_pose(scene_fps):
     lashes = next(child for child in head.children if child[PART_PROPERTY] == "lashes")
     rig = read_rig(head)
     unit = np.linalg.norm(np.subtract(*rig.vertices[rig.landmarks[OUTER_EYE_CORNERS]]))
-    report = puppet_head(scene, head, performance(), PuppetSettings(bake=BakeSettings(whole_frames=False)))
+    report = puppet_head(scene, head, performance(), PuppetSettings(bake=BakeSettings(keys="new", whole_frames=False)))
     assert report.worst_error < 0.01
     for n in range(0, len(report.motion.times), 7):
         go_to(frames_of(scene, report.motion.times[n]))

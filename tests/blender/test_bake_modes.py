@@ -93,7 +93,7 @@ def test_every_bake_plays_back_the_live_vertices_within_the_reported_error(optio
 
 def test_a_limit_on_keys_is_kept_and_increases_the_error():
     head = add_head(bpy.context)
-    one, two = bake(head, max_keys=1), bake(head, max_keys=2)
+    one, two = (bake(head, keys="new", max_keys=count) for count in (1, 2))
     assert (one.keys, two.keys) == (1, 2) and one.worst_error > 2.0 * two.worst_error
     assert largest_error(head, two) <= two.worst_error + 1e-4
 
@@ -454,3 +454,14 @@ def test_several_heads_are_baked_all_or_none(tmp_path):
     with pytest.raises(HeadError, match="Missing vertex groups of Two"):
         puppet_heads(bpy.context.scene, heads, performance())
     assert all(head.data.shape_keys is None and head.animation_data is None for head in heads)
+
+
+def test_a_built_in_head_without_keys_is_given_those_of_arkit_and_one_that_was_sculpted_is_not():
+    head, sculpted = add_head(bpy.context), add_head(bpy.context)
+    sculpted.data.vertices[100].co.x += 0.01
+    given, new = (bake(obj, keys="automatic") for obj in (head, sculpted))
+    assert not np.isnan(given.named_error) and np.isnan(new.named_error)
+    assert "jawOpen" in head.data.shape_keys.key_blocks and "jawOpen" not in sculpted.data.shape_keys.key_blocks
+    lashes = next(child for child in head.children if child.name.startswith("Lashes"))
+    assert "jawOpen" in lashes.data.shape_keys.key_blocks
+    assert largest_error(head, given) <= given.worst_error + 1e-4
