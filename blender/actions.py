@@ -25,6 +25,7 @@ from .fcurves import (
     is_baked,
     own_paths,
     owned_paths,
+    slot_handle,
     tracked_strips,
     tracks_of_bakes,
 )
@@ -237,14 +238,52 @@ def _push(
         strip.blend_type = "ADD" if isinstance(owner, bpy.types.Key) else "COMBINE"
 
 
-def _push_down(owner: bpy.types.ID, frames: NDArray[np.floating[Any]]) -> None:
-    """Put the active action onto a track of its own, which plays the same, so that others can be added to it."""
+def sink_bake(owner: bpy.types.ID) -> None:
+    """Put what the active action of a data-block has of a bake onto a track of bakes, above a track with the rest."""
+    data = owner.animation_data
+    if data is None or data.action is None:
+        return
+    baked, slot = owned_paths(data), slot_handle(data)
+    every = {curve.data_path for curve in curves_in(data)}
+    frames = np.array(data.action.frame_range[:])
+    if not baked & every:
+        _push_down(owner, frames)
+        return
+    action = data.action
+    if every - baked:
+        _play(data, action.copy(), slot)
+        _keep_only(data, every - baked)
+        disown_paths(data)
+        _push_down(owner, frames)
+        _play(data, action, slot)
+        _keep_only(data, baked)
+    _push_down(owner, frames, TRACK)
+
+
+def _play(data: bpy.types.AnimData, action: bpy.types.Action, handle: int) -> None:
+    """Let `data` play the slot of an action with a handle."""
+    data.action = action
+    if handle:
+        data.action_slot = next(slot for slot in action.slots if slot.handle == handle)
+
+
+def _keep_only(data: bpy.types.AnimData, paths: set[str]) -> None:
+    fcurves = curves_in(data)
+    for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path not in paths]:
+        fcurves.remove(fcurve)
+
+
+def _push_down(owner: bpy.types.ID, frames: NDArray[np.floating[Any]], name: str = "") -> None:
+    """Put the active action onto a track of its own, which plays the same, so that others can be added to it.
+
+    The track is named after the action by default.
+    """
     data = owner.animation_data
     if data is None or data.action is None:
         return
     action, slot = data.action, getattr(data, "action_slot", None)
     track = data.nla_tracks.new()
-    track.name = action.name
+    track.name = name or action.name
     strip = track.strips.new(action.name, floor(action.frame_range[0]), action)
     if slot is not None:
         strip.action_slot = slot

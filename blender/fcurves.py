@@ -12,8 +12,8 @@ import bpy
 
 _OWNED = "facemime_curves"
 """Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
-_SHARED = "facemime_character"
-"""Custom property of an action that a bake shares among the data-blocks of a character."""
+BAKE, LAYER = "facemime_character", "facemime_corrections"
+"""Custom properties of an action that a character plays: that of its bake, and that of the user's corrections."""
 TRACK = "Facemime"
 """Name of a bake's NLA tracks, numbered if there are several; a renamed track belongs to the user."""
 
@@ -84,7 +84,7 @@ def _keyframes(strip: bpy.types.ActionStrip) -> bpy.types.ActionKeyframeStrip:
 
 
 class CharacterAction:
-    """The action of the animation that a bake adds to a character: one with a slot for each of its data-blocks.
+    """An action that is added to a character: one with a slot for each of its data-blocks.
 
     Where actions have no slots, each data-block has its own.
 
@@ -93,25 +93,38 @@ class CharacterAction:
     name : str
         Name of the action, if there is none yet.
     owners : iterable of bpy.types.ID
-        Data-blocks of the character, which may play the action of an earlier bake.
+        Data-blocks of the character, which may play it already.
+    kind : str
+        `BAKE` or `LAYER`.
     """
 
-    def __init__(self, name: str, owners: Iterable[bpy.types.ID]) -> None:
-        self._name = name
+    def __init__(self, name: str, owners: Iterable[bpy.types.ID], kind: str = BAKE) -> None:
+        self._name, self._kind = name, kind
         playing = (data.action for owner in owners if (data := owner.animation_data) is not None)
-        self._action = next((action for action in playing if action is not None and _SHARED in action), None)
+        self._action = next((action for action in playing if action is not None and kind in action), None)
+
+    @property
+    def name(self) -> str:
+        """Name of the action."""
+        return self._name if self._action is None else self._action.name
 
     def give(self, owner: bpy.types.ID, name: str) -> None:
         """Let a data-block without an action play this one, or one of that name where actions have no slots."""
         data = owner.animation_data or owner.animation_data_create()
         if "slots" not in bpy.types.Action.bl_rna.properties:
             data.action = bpy.data.actions.new(name)
+            data.action[self._kind] = True
             return
         if self._action is None:
             self._action = bpy.data.actions.new(self._name)
-            self._action[_SHARED] = True
+            self._action[self._kind] = True
         data.action = self._action
         data.action_slot = self._action.slots.new(id_type=owner.id_type, name=owner.name)
+
+
+def is_layer(holder: Holder | None) -> bool:
+    """Return whether a holder plays the user's corrections of a bake."""
+    return holder is not None and holder.action is not None and LAYER in holder.action
 
 
 def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:

@@ -15,6 +15,7 @@ from .fcurves import (
     curves_in,
     drivers_of,
     is_baked,
+    is_layer,
     owned_paths,
     tracked_strips,
     tracks_of,
@@ -114,7 +115,7 @@ def mute_paths(owner: bpy.types.ID, paths: Collection[str], *, curves: bool = Tr
     """
     data, muted = owner.animation_data, []
     owned = owned_paths(data)
-    for curve in curves_in(data) if curves else ():
+    for curve in curves_in(data) if curves and not is_layer(data) else ():
         if curve.data_path in paths and not curve.mute and curve.data_path not in owned:
             muted.append((_CURVE, curve.data_path, action_name(data)))
             curve.mute = True
@@ -197,7 +198,9 @@ def others_playing(owner: bpy.types.ID) -> list[str]:
 
 
 def _moved_paths(holder: Holder | None) -> set[str]:
-    """Return the data paths of the curves of a holder that play and that Facemime did not make."""
+    """Return the data paths of the curves of a holder that play and that Facemime did not make, nor corrects a bake."""
+    if is_layer(holder):
+        return set()
     return {curve.data_path for curve in curves_in(holder) if not curve.mute} - owned_paths(holder)
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from bpy.props import StringProperty
 
 from ..blender.animation.conflicts import mute_under, playing_under
+from ..blender.animation.corrections import add_layer, remove_layer
 from ..blender.animation.puppet import puppet_heads
 from ..blender.meshes import can_be_driven, key_names, keys_of
 from ..blender.reference import add_reference, add_sound
@@ -77,6 +78,31 @@ class FACEMIME_OT_mute_others(OnHead, bpy.types.Operator):
         names = ", ".join(playing_under(required_subject(context)))
         count = mute_under(required_subject(context))
         report(self, "{count} curves and tracks muted: {names}", count=count, names=names)
+
+
+class FACEMIME_OT_add_corrections(OnHead, bpy.types.Operator):
+    """Add a layer for your own keyframes to the bake of the active head. Another bake leaves them as they are"""
+
+    bl_idname = "facemime.add_corrections"
+    bl_label = "Add Correction Layer"
+
+    needs_landmarks = False
+
+    def work(self, context: bpy.types.Context) -> None:
+        name = add_layer(required_subject(context))
+        report(self, "Keyframes of shape keys and bones now go to {name} and are added to the bake", name=name)
+
+
+class FACEMIME_OT_remove_corrections(OnHead, bpy.types.Operator):
+    """Remove the layer of corrections of the active head. Its action is kept in the file if you use it elsewhere"""
+
+    bl_idname = "facemime.remove_corrections"
+    bl_label = "Remove Correction Layer"
+
+    needs_landmarks = False
+
+    def work(self, context: bpy.types.Context) -> None:
+        remove_layer(required_subject(context))
 
 
 class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):

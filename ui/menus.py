@@ -149,6 +149,8 @@ class FACEMIME_MT_key_mapping(_ListsEntries, bpy.types.Menu):
         _Entry("facemime.import_key_map", "IMPORT"),
         _Entry("facemime.export_key_map", "EXPORT"),
         _Entry("facemime.mute_others", "MUTE_IPO_ON"),
+        _Entry("facemime.add_corrections", "NLA_PUSHDOWN"),
+        _Entry("facemime.remove_corrections", "X"),
     )
 
 

@@ -3,6 +3,7 @@
 import bpy
 
 from ..blender.animation.conflicts import playing_under
+from ..blender.animation.corrections import can_be_corrected, has_layer
 from ..blender.animation.refit import keyframe_count
 from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
@@ -147,6 +148,12 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
         if obj is not None and can_be_driven(obj) and (others := playing_under(obj)):
             labels(layout, context, _("Also moves the shape keys: {names}").format(names=", ".join(others)), "INFO")
             layout.operator("facemime.mute_others", icon="MUTE_IPO_ON")
+        if obj is not None and can_be_driven(obj):
+            if has_layer(obj):
+                labels(layout, context, _("Keyframes are added to the bake"), "NLA_PUSHDOWN")
+                layout.operator("facemime.remove_corrections", icon="X")
+            elif can_be_corrected(obj):
+                layout.operator("facemime.add_corrections", icon="NLA_PUSHDOWN")
 
 
 class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):

@@ -177,6 +177,8 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "set_bone": press("set_bone", target=one_of("head", "eye_right", "eye_left")),
     "make_expression_keys": press("make_expression_keys", keys=one_of("vrm", "oculus")),
     "mute_others": press("mute_others"),
+    "add_corrections": press("add_corrections"),
+    "remove_corrections": press("remove_corrections"),
     "take_from_animation": press("take_from_animation"),
     "export_gltf": press("export_gltf", filepath=new_file(".glb")),
     "add_sound": press("add_sound"),

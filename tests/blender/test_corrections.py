@@ -1,0 +1,135 @@
+"""Corrections of a bake: added to it, left by another bake, and followed by the other meshes of the head."""
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.actions import Curve, write_curves
+from facemime.blender.animation.corrections import add_layer, has_layer, remove_layer
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.heads.binding import bind_character
+from facemime.blender.heads.new_heads import add_head
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.errors import HeadError
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from tests.helpers.characters import make_character
+from tests.helpers.takes import performance
+
+FRAMES = (5, 20, 30, 40, 55)
+
+
+def bake(head, count=60, **settings):
+    settings = PuppetSettings(bake=BakeSettings(**settings))
+    return puppet_head(bpy.context.scene, head, performance(count), settings)
+
+
+def values(obj, name="jawOpen"):
+    found = []
+    for frame in FRAMES:
+        bpy.context.scene.frame_set(frame)
+        found.append(obj.data.shape_keys.key_blocks[name].value)
+    return np.array(found)
+
+
+def correct(head, name="jawOpen", value=0.6):
+    """Key a shape key as an animator does: unchanged around frame 30, and at a value there."""
+    block = head.data.shape_keys.key_blocks[name]
+    for frame in (20, 40):
+        bpy.context.scene.frame_set(frame)
+        assert block.keyframe_insert("value", frame=frame)
+    bpy.context.scene.frame_set(30)
+    block.value = value
+    assert block.keyframe_insert("value", frame=30)
+
+
+def test_corrections_are_added_to_the_bake_and_another_bake_leaves_them():
+    head = add_head(bpy.context)
+    bake(head)
+    before = values(head)
+    name = add_layer(head)
+    np.testing.assert_allclose(values(head), before, atol=1e-5)
+    correct(head)
+    after = values(head)
+    assert after[2] == pytest.approx(0.6, abs=1e-4)
+    np.testing.assert_allclose(np.delete(after, 2), np.delete(before, 2), atol=1e-4)
+    for count in (50, 60):
+        report = bake(head, count)
+        assert not any("Muted" in warning or "Other animation" in warning for warning in report.warnings)
+        assert head.data.shape_keys.animation_data.action.name == name and has_layer(head)
+        assert len(head.data.shape_keys.animation_data.nla_tracks) == 1
+    np.testing.assert_allclose(values(head), after, atol=1e-4)
+    bake(head, keys="new")
+    assert values(head)[2] == pytest.approx(0.6 - before[2], abs=1e-4)
+    bake(head)
+    remove_layer(head)
+    np.testing.assert_allclose(values(head), before, atol=1e-4)
+
+
+def test_lashes_follow_corrections_of_the_skin():
+    head = add_head(bpy.context, units=True)
+    lashes = next(child for child in head.children if child.name.startswith("Lashes"))
+    bake(head)
+    add_layer(head)
+    correct(head, "eyeBlinkLeft", 0.9)
+    np.testing.assert_allclose(values(lashes, "eyeBlinkLeft"), values(head, "eyeBlinkLeft"), atol=1e-5)
+    bake(head)
+    np.testing.assert_allclose(values(lashes, "eyeBlinkLeft"), values(head, "eyeBlinkLeft"), atol=1e-5)
+    assert values(lashes, "eyeBlinkLeft")[2] == pytest.approx(0.9, abs=1e-3)
+
+
+def test_bones_are_corrected_and_their_bake_is_replaced_below():
+    objects = make_character(rig=True)
+    head, _ = bind_character(objects["head"])
+    armature = head.find_armature()
+    bake(head)
+    add_layer(head)
+    bone = armature.pose.bones["Head"]
+    bpy.context.scene.frame_set(30)
+    turned = bone.matrix_basis.copy()
+    bone.location = (0.0, 0.0, 0.5)
+    bone.keyframe_insert("location", frame=30)
+    bake(head)
+    bpy.context.scene.frame_set(30)
+    assert bone.location.z == pytest.approx(0.5, abs=1e-4)
+    assert bone.matrix_basis.to_quaternion().rotation_difference(turned.to_quaternion()).angle < 1e-3
+
+
+def test_animation_of_the_user_goes_down_with_the_bake_and_stays_when_it_is_baked_again():
+    head = add_head(bpy.context, units=True)
+    bake(head)
+    keys = head.data.shape_keys
+    head.shape_key_add(name="Mine", from_mix=False)
+    keys.key_blocks["Mine"].value = 0.3
+    keys.key_blocks["Mine"].keyframe_insert("value", frame=1)
+    keys.key_blocks["Mine"].value = 0.9
+    keys.key_blocks["Mine"].keyframe_insert("value", frame=60)
+    mine, jaw = values(head, "Mine"), values(head)
+    add_layer(head)
+    np.testing.assert_allclose(values(head, "Mine"), mine, atol=1e-5)
+    np.testing.assert_allclose(values(head), jaw, atol=1e-5)
+    bake(head)
+    np.testing.assert_allclose(values(head, "Mine"), mine, atol=1e-5)
+    np.testing.assert_allclose(values(head), jaw, atol=1e-4)
+
+
+def test_a_head_without_a_bake_or_with_corrections_is_refused():
+    head = add_head(bpy.context)
+    with pytest.raises(HeadError, match="Bake a take"):
+        add_layer(head)
+    bake(head)
+    add_layer(head)
+    with pytest.raises(HeadError, match="corrections already"):
+        add_layer(head)
+    with pytest.raises(RuntimeError, match="corrections already"):
+        bpy.ops.facemime.add_corrections()
+    assert bpy.ops.facemime.remove_corrections() == {"FINISHED"} and not has_layer(head)
+
+
+def test_curves_of_the_user_below_a_layer_are_not_mistaken_for_corrections():
+    head = add_head(bpy.context, units=True)
+    bake(head)
+    add_layer(head)
+    frames = np.arange(1.0, 61.0)
+    curve = Curve('key_blocks["cheekPuff"].value', 0, np.linspace(0.0, 1.0, 60))
+    write_curves(head.data.shape_keys, "Other", frames, [curve])
+    assert head.data.shape_keys.animation_data.action.name.endswith("Corrections")
