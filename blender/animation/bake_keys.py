@@ -20,7 +20,7 @@ from ...core.errors import HeadError
 from ...core.heads.key_map import ESSENTIAL, best_preset, curve_groups, known_expressions
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, head_of, members_of
-from ..fcurves import CharacterAction, drivers_of
+from ..fcurves import CharacterAction, curves_in, drivers_of, is_layer
 from ..frames import from_blender
 from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of, read_vertices
 from ..muting import Silenced, keyed_paths, varying_paths
@@ -311,9 +311,22 @@ def bake_values(
                 for name, curve in curves.items()
                 if name in own_keys.key_blocks and curve.data_path not in following
             ]
+            own += _beneath_corrections(own_keys, own, len(frames))
             name = f"{obj.name} Expression"
             silenced += write_curves(own_keys, name, frames, own, action=action, nla=nla, add=keep, leave_drivers=keep)
     return silenced
+
+
+def _beneath_corrections(keys: bpy.types.Key, curves: Sequence[Curve], frames: int) -> list[Curve]:
+    """Return curves at 0 for keys that are corrected but not baked: a correction of nothing is added to their default,
+    which is 1 in Blender 5.0.
+    """
+    if not is_layer(keys.animation_data):
+        return []
+    baked, ends = {curve.data_path for curve in curves}, np.unique([0, frames - 1])
+    still = BezierCurve(ends, np.zeros(len(ends)), np.zeros((len(ends), 2)))
+    corrected = {fcurve.data_path for fcurve in curves_in(keys.animation_data)} - baked
+    return [Curve(path, 0, np.zeros(frames), fitted=still) for path in sorted(corrected)]
 
 
 def remove_baked_keys(obj: bpy.types.Object) -> None:
