@@ -219,12 +219,15 @@ def _exclude(
             return
         weaker = pairs[chosen, np.abs(weights[rows[:, None], pairs[chosen]]).argmin(axis=1)]
         left_out[rows, weaker] = True
-        for row in np.unique(rows):
-            kept = np.flatnonzero(~left_out[row])
-            weights[row] = 0.0
-            weights[row, kept] = bounded_least_squares(
-                gram[np.ix_(kept, kept)], products[row : row + 1, kept], lower[kept], upper[kept]
-            )[0]
+        changed = np.unique(rows)
+        # Rows without the same keys are fitted together.
+        patterns, of = np.unique(left_out[changed], axis=0, return_inverse=True)
+        weights[changed] = 0.0
+        for number, pattern in enumerate(patterns):
+            alike, kept = changed[of.reshape(-1) == number], np.flatnonzero(~pattern)
+            weights[np.ix_(alike, kept)] = bounded_least_squares(
+                gram[np.ix_(kept, kept)], products[np.ix_(alike, kept)], lower[kept], upper[kept]
+            )
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:

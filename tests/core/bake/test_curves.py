@@ -56,10 +56,10 @@ def test_a_blink_has_keyframes_where_it_starts_and_ends_and_shuts_in_its_frame()
 
 
 def test_a_flat_curve_has_two_keyframes_and_a_single_frame_one():
-    flat, single = np.full((50, 1), 0.3), np.full((1, 1), 0.7)
+    flat, single = np.full((700, 1), 0.3), np.full((1, 1), 0.7)
     offsets = np.ones((1, 4, 3))
     (curve,) = fit_key_curves(flat, offsets, 0.01, [0.0], [1.0])
-    assert curve.rows.tolist() == [0, 49] and curve.at(np.arange(50.0)).tolist() == [0.3] * 50
+    assert curve.rows.tolist() == [0, 699] and curve.at(np.arange(700.0)).tolist() == [0.3] * 700
     (curve,) = fit_key_curves(single, offsets, 0.01, [0.0], [1.0])
     assert curve.rows.tolist() == [0] and curve.at(np.array([0.0])).tolist() == [0.7]
 
@@ -67,7 +67,7 @@ def test_a_flat_curve_has_two_keyframes_and_a_single_frame_one():
 def test_a_key_that_moves_nothing_keeps_its_values_for_other_programs():
     swing = 0.5 + 0.5 * np.sin(np.linspace(0.0, 20.0, 200))
     (curve,) = fit_key_curves(swing[:, None], np.zeros((1, 4, 3)), 0.01, [0.0], [1.0])
-    assert np.abs(curve.at(np.arange(200.0)) - swing).max() < 0.11
+    assert np.abs(curve.at(np.arange(200.0)) - swing).max() < 0.15
 
 
 def test_handles_describe_the_same_curve_as_bezier_segments():
