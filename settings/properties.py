@@ -14,7 +14,9 @@ from bpy.props import (
     StringProperty,
 )
 
+from ..blender.animation.refit import refit
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
+from ..core.errors import messages
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.streams.sender import SENT
 from ..core.streams.stream_settings import PROTOCOLS, SendSettings, StreamSettings
@@ -73,6 +75,41 @@ class FacemimeStream(bpy.types.PropertyGroup):
     )
 
 
+def _refit(_: "FacemimeHead", context: bpy.types.Context) -> None:
+    refit(context.scene.facemime_takes.bake.clean / 100.0)
+
+
+_STRENGTHS = messages(
+    {
+        "strength_brows": "Brows",
+        "strength_eyes": "Eyes",
+        "strength_cheeks": "Cheeks and Nose",
+        "strength_jaw": "Jaw",
+        "strength_mouth": "Mouth",
+    }
+)
+
+
+def _with_strengths(owner: type) -> type:
+    """Decorate a property group with the strengths of the parts of a face in bakes."""
+    properties = {
+        name: FloatProperty(
+            name=label.template,
+            description="Factor of this part of the face in bakes. It can be animated; the last bake follows it until "
+            "you change a keyframe of it, and another bake does in any case",
+            default=1.0,
+            min=0.0,
+            max=4.0,
+            soft_max=2.0,
+            update=_refit,
+        )
+        for name, label in _STRENGTHS.items()
+    }
+    owner.__annotations__ = properties | owner.__annotations__
+    return owner
+
+
+@_with_strengths
 class FacemimeHead(bpy.types.PropertyGroup):
     """Settings of one head among several."""
 

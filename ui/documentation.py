@@ -32,6 +32,7 @@ PANELS = {
     "FACEMIME_PT_bake": f"{_TAKES}#baking",
     "FACEMIME_PT_takes": f"{_TAKES}#in-blender",
     "FACEMIME_PT_take_bake": f"{_TAKES}#baking",
+    "FACEMIME_PT_strengths": f"{_TAKES}#baking",
     "FACEMIME_PT_key_map": f"{_TAKES}#key-mappings",
 }
 """Page of each panel with a header."""

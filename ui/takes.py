@@ -5,6 +5,7 @@ import bpy
 from ..blender.animation.conflicts import playing_under
 from ..blender.animation.corrections import can_be_corrected, has_layer
 from ..blender.animation.refit import keyframe_count
+from ..blender.animation.strengths import STRENGTHS
 from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
@@ -154,6 +155,26 @@ class FACEMIME_PT_take_bake(Sidebar, bpy.types.Panel):
                 layout.operator("facemime.remove_corrections", icon="X")
             elif can_be_corrected(obj):
                 layout.operator("facemime.add_corrections", icon="NLA_PUSHDOWN")
+
+
+class FACEMIME_PT_strengths(Sidebar, bpy.types.Panel):
+    """Strengths of the parts of the active head in bakes."""
+
+    bl_label = "Strengths in the Bake"
+    bl_parent_id = "FACEMIME_PT_take_bake"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        """Return whether there is a head."""
+        obj = subject(context)
+        return obj is not None and can_be_driven(obj)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """Draw the panel."""
+        split_labels(self.layout)
+        if (head := subject(context)) is not None:
+            for name in STRENGTHS.values():
+                self.layout.prop(head.facemime, name, slider=True)
 
 
 class FACEMIME_PT_key_map(Sidebar, bpy.types.Panel):

@@ -55,6 +55,7 @@ from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
 from .refit import LastBake
 from .scene_range import fit_range, holding_take, outside_range, start_frame
+from .strengths import scaled
 from .targets import own_targets
 
 TOLERANCE = 0.009
@@ -423,14 +424,15 @@ def _values_plan(
     """Plan a bake of weights (N, K) of keys, of which those in `added` do not exist yet."""
     residual = () if added is None or added is keys else added.names
     tolerance = bake.clean * unit if timing.is_whole else 0.0
-    curves = KeyCurves.of(keys, timing.curves(weights), tolerance, residual)
+    values = timing.curves(weights)
+    curves = KeyCurves.of(keys, scaled(obj, keys, values, timing.keyed, residual), tolerance, residual)
 
     def write(action: CharacterAction) -> list[Silenced]:
         members = members_of(obj)
         if added is not None:
             add_keys(members, added.names, added.offsets)
         fits_again = timing.is_whole and not (bake.nla or bake.keep_animation)
-        LastBake.current = LastBake(obj.name, keys, curves, timing.keyed, unit) if fits_again else None
+        LastBake.current = LastBake(obj.name, keys, values, curves, timing.keyed, unit) if fits_again else None
         return bake_values(members, curves, timing.keyed, action=action, nla=bake.nla, keep=bake.keep_animation)
 
     return _Plan(len(keys.names), error, write, named_error, curves.keyframes)

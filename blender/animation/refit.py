@@ -1,4 +1,6 @@
-"""The keyframes of the last bake of shape keys, which *Detail* fits again for as long as nobody has changed them."""
+"""The keyframes of the last bake of shape keys, which *Detail* and the strengths of a head fit again for as long as
+nobody has changed them.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from ..actions import baked_paths
 from ..characters import Member, members_of
 from ..fcurves import curves_in
 from ..meshes import mesh_of
-from .bake_keys import KeyCurves, MeshKeys, bake_values, value_path
+from .bake_keys import RESIDUAL, KeyCurves, MeshKeys, bake_values, value_path
+from .strengths import scaled
 
 
 @dataclass(frozen=True)
@@ -28,6 +31,8 @@ class LastBake:
         Name of the head.
     keys : MeshKeys
         The K keys.
+    values : (N, K) array
+        Their values before the strengths of the head.
     curves : KeyCurves
         Their curves as they were written.
     frames : (N,) array
@@ -40,6 +45,7 @@ class LastBake:
 
     head: str
     keys: MeshKeys
+    values: FloatArray
     curves: KeyCurves
     frames: FloatArray
     unit: float
@@ -82,7 +88,9 @@ def keyframe_count(head: bpy.types.Object) -> int:
 
 
 def refit(error: float) -> bool:
-    """Fit the keyframes of the last bake again within an error in eye distances; 0 gives each frame a keyframe.
+    """Fit the keyframes of the last bake again, with the strengths that its head has now.
+
+    They stay within an error in eye distances; 0 gives each frame a keyframe.
 
     Return whether that was done: not if its head is gone, or a keyframe was changed.
     """
@@ -92,7 +100,9 @@ def refit(error: float) -> bool:
     members = members_of(head)
     if not last.is_untouched(members):
         return False
-    curves = last.curves.fitted_within(last.keys, error * last.unit)
+    residual = [name for name, group in last.curves.groups.items() if group == RESIDUAL]
+    values = scaled(head, last.keys, last.values, last.frames, residual)
+    curves = replace(last.curves, values=values).fitted_within(last.keys, error * last.unit)
     bake_values(members, curves, last.frames)
     LastBake.current = replace(last, curves=curves)
     return True

@@ -465,3 +465,29 @@ def test_a_built_in_head_without_keys_is_given_those_of_arkit_and_one_that_was_s
     lashes = next(child for child in head.children if child.name.startswith("Lashes"))
     assert "jawOpen" in lashes.data.shape_keys.key_blocks
     assert largest_error(head, given) <= given.worst_error + 1e-4
+
+
+def _jaw_and_brows(head, frames=(10, 30, 50)):
+    found = []
+    for frame in frames:
+        bpy.context.scene.frame_set(frame)
+        found.append([head.data.shape_keys.key_blocks[name].value for name in ("jawOpen", "browInnerUp")])
+    return np.array(found)
+
+
+def test_strengths_of_a_head_scale_the_last_bake_at_once_and_the_next_by_their_keyframes():
+    head = add_head(bpy.context, units=True)
+    bake(head, keys="automatic", whole_frames=True)
+    before = _jaw_and_brows(head)
+    assert before[:, 0].max() > 0.1
+    head.facemime.strength_jaw = 0.5
+    np.testing.assert_allclose(_jaw_and_brows(head), before * (0.5, 1.0), atol=0.03)
+    head.facemime.strength_jaw = 1.0
+    np.testing.assert_allclose(_jaw_and_brows(head), before, atol=1e-6)
+    # More from frame 30 on.
+    for frame, strength in ((29, 1.0), (30, 1.5)):
+        head.facemime.strength_jaw = strength
+        head.keyframe_insert("facemime.strength_jaw", frame=frame)
+    for _ in range(2):
+        bake(head, keys="automatic", whole_frames=True)
+        np.testing.assert_allclose(_jaw_and_brows(head), before * ((1.0, 1.0), (1.5, 1.0), (1.5, 1.0)), atol=0.03)
