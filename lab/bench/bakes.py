@@ -24,6 +24,9 @@ COUNTS = (2, 4, 8, 16)
 FINER = 3
 """How often the edges of the dense head are halved."""
 SECONDS, FPS = 60.0, 30.0
+_ERRORS = (0.1, 0.25, 0.5, 1.0)
+"""Errors of curves, % of the eye distance."""
+_CURVES = ("ARKit's keys: frames per keyframe", "and residual ones: frames per keyframe")
 
 
 def bake_tables(take: Take) -> list[Table]:
@@ -36,6 +39,7 @@ def bake_tables(take: Take) -> list[Table]:
     columns = ("baked to", "keys", "largest error, % of the eye distance", *(f"{n:,} vertices, s" for n in _sizes()))
     return [
         Table(f"Baking the {len(take)} frames of the sample clip", columns, rows),
+        Table("Keyframes of the sample clip", ("error of curves, % of the eye distance", *_CURVES), _keyframes(take)),
         Table("Writing the curves of a minute at 30 frames per second, 52 keys", ("what", "s"), [_curves()]),
     ]
 
@@ -58,6 +62,20 @@ def _bakes(take: Take, level: int, folder: Path) -> dict[str, tuple[int, float, 
         )
         found[name] = report.keys, 100.0 * report.worst_error, seconds
     return found
+
+
+def _keyframes(take: Take) -> list[tuple[float | str, ...]]:
+    """Frames per keyframe for each error, of ARKit's keys and of these and residual ones."""
+    rows: list[tuple[float | str, ...]] = []
+    for percent in _ERRORS:
+        row: list[float | str] = [percent]
+        for residual in (False, True):
+            bake = BakeSettings(keys="named", residual=residual, clean=0.01 * percent)
+            head = _head(0, bake)
+            report = puppet_head(bpy.context.scene, head, take, PuppetSettings(bake=bake))
+            row.append(report.frames / report.keyframes)
+        rows.append(tuple(row))
+    return rows
 
 
 def _sizes() -> tuple[int, int]:
