@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.numeric.arrays import FloatArray
-from ..actions import baked_paths
 from ..characters import Member, members_of
-from ..fcurves import curves_in
+from ..fcurves import curves_in, owned_paths
 from ..meshes import mesh_of
 from .bake_keys import RESIDUAL, KeyCurves, MeshKeys, bake_values, value_path
 from .strengths import scaled
@@ -77,7 +76,7 @@ def _curves_of(members: Sequence[Member]) -> Iterator[bpy.types.FCurve]:
     """Yield the curves of the shape keys of a head that a bake wrote to active actions."""
     for member in members:
         if (keys := mesh_of(member.obj).shape_keys) is not None:
-            baked = baked_paths(keys)
+            baked = owned_paths(keys.animation_data)
             yield from (fcurve for fcurve in curves_in(keys.animation_data) if fcurve.data_path in baked)
 
 
