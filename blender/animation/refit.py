@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...core.numeric.arrays import FloatArray
 from ..characters import Member, members_of
-from ..fcurves import curves_in, owned_paths
+from ..fcurves import curves_in, is_layer, owned_paths
 from ..meshes import mesh_of
 from .bake_keys import RESIDUAL, KeyCurves, MeshKeys, bake_values, value_path
 from .strengths import scaled
@@ -73,9 +73,10 @@ def _points(fcurve: bpy.types.FCurve) -> NDArray[np.float32]:
 
 
 def _curves_of(members: Sequence[Member]) -> Iterator[bpy.types.FCurve]:
-    """Yield the curves of the shape keys of a head that a bake wrote to active actions."""
-    for member in members:
-        if (keys := mesh_of(member.obj).shape_keys) is not None:
+    """Yield the curves of the shape keys of a head that a bake wrote to active actions; none below corrections."""
+    every = [keys for member in members if (keys := mesh_of(member.obj).shape_keys) is not None]
+    if not any(is_layer(keys.animation_data) for keys in every):
+        for keys in every:
             baked = owned_paths(keys.animation_data)
             yield from (fcurve for fcurve in curves_in(keys.animation_data) if fcurve.data_path in baked)
 
