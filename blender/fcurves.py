@@ -91,7 +91,7 @@ class CharacterAction:
     Parameters
     ----------
     name : str
-        Name of the action, if there is none yet.
+        Name for the action, if it has to be created.
     owners : iterable of bpy.types.ID
         Data-blocks of the character, which may play it already.
     kind : str

@@ -12,8 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blender.animation.bake_report import PuppetReport
 from ..blender.animation.exporting import caches_beside, export_gltf, saved_by_blender
-from ..blender.animation.puppet import PuppetReport, check_heads, puppet_head
+from ..blender.animation.puppet import check_heads, puppet_head
 from ..blender.animation.scene_range import holding_take
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.new_heads import add_head

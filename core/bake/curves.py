@@ -317,7 +317,7 @@ class _Fit:
         curve, at, stop = self.spans[rows].T.copy()
         before, live = np.zeros(len(rows)), np.arange(len(rows))
         while len(live):
-            found = self._longest(allowed, curve[live], at[live], stop[live], before[live])
+            found = self._longest(allowed, _Starts(curve, at, stop, before).chosen(live))
             at[live] += found.lengths
             before[live] = found.end
             steps = zip(rows[live].tolist(), at[live].tolist(), found.start.tolist(), found.end.tolist(), strict=True)
@@ -326,35 +326,20 @@ class _Fit:
                 self._slopes[row] += [first, last]
             live = live[at[live] < stop[live]]
 
-    def _longest(
-        self,
-        allowed: FloatArray,
-        curve: NDArray[np.intp],
-        at: NDArray[np.intp],
-        stop: NDArray[np.intp],
-        before: FloatArray,
-    ) -> _Longest:
-        """Find the longest segments of some curves (R,) from frames `at`, up to `stop`, after the slopes `before`."""
-        found = self._within(allowed, curve, at, stop, before, _LENGTHS[0])
+    def _longest(self, allowed: FloatArray, starts: _Starts) -> _Longest:
+        """Find the longest segments."""
+        found = self._within(allowed, starts, _LENGTHS[0])
         for shorter, longest in pairwise(_LENGTHS):
-            full = np.flatnonzero((found.lengths == shorter) & (stop > at + shorter))
+            full = np.flatnonzero((found.lengths == shorter) & (starts.stop > starts.at + shorter))
             if not len(full):
                 break
-            more = self._within(allowed, curve[full], at[full], stop[full], before[full], longest)
-            for out, part in zip(found, more, strict=True):
+            for out, part in zip(found, self._within(allowed, starts.chosen(full), longest), strict=True):
                 out[full] = part
         return found
 
-    def _within(
-        self,
-        allowed: FloatArray,
-        curve: NDArray[np.intp],
-        at: NDArray[np.intp],
-        stop: NDArray[np.intp],
-        before: FloatArray,
-        longest: int,
-    ) -> _Longest:
+    def _within(self, allowed: FloatArray, starts: _Starts, longest: int) -> _Longest:
         """Find the longest segments of at most `longest` frames."""
+        curve, at, stop, before = starts
         reach = stop - at
         table = _segments(min(longest, int(reach.max())))
         columns = np.minimum(at[:, None] + np.arange(table.rise.shape[1]), self._values.shape[1] - 1)
@@ -393,6 +378,19 @@ class _Fit:
         off = np.abs(left[rows, of] - table.start[of] * chosen.start[:, None])
         chosen.end[(chosen.lengths == reach) & (chosen.lengths > 1) & (off <= limits).all(axis=1)] = 0.0
         return chosen
+
+
+class _Starts(NamedTuple):
+    """Where segments start, (R,) each: curve, frame, frame that they must not pass, and slope of the segment before."""
+
+    curve: NDArray[np.intp]
+    at: NDArray[np.intp]
+    stop: NDArray[np.intp]
+    before: FloatArray
+
+    def chosen(self, rows: NDArray[np.intp]) -> _Starts:
+        """Return some of them."""
+        return _Starts(self.curve[rows], self.at[rows], self.stop[rows], self.before[rows])
 
 
 class _Longest(NamedTuple):

@@ -9,9 +9,10 @@ import pytest
 
 from facemime.blender.actions import TRACK
 from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
+from facemime.blender.animation.bake_report import PuppetReport
 from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import Follow, LiveHeadObject
-from facemime.blender.animation.puppet import PuppetReport, puppet_head, puppet_heads
+from facemime.blender.animation.puppet import puppet_head, puppet_heads
 from facemime.blender.animation.refit import keyframe_count
 from facemime.blender.animation.targets import PoseTarget
 from facemime.blender.characters import members_of

@@ -50,7 +50,7 @@ def test_corrections_are_added_to_the_bake_and_another_bake_leaves_them():
     add_layer(head)
     np.testing.assert_allclose(values(head), before, atol=1e-5)
     correct(head)
-    assert keyframe_count(head) == 0 and not refit(0.01), "the user's keyframes are none of the bake's"
+    assert keyframe_count(head) == 0 and not refit(0.01), "the user's keyframes do not belong to the bake"
     after = values(head)
     assert after[2] == pytest.approx(0.6, abs=1e-4)
     np.testing.assert_allclose(np.delete(after, 2), np.delete(before, 2), atol=1e-4)
