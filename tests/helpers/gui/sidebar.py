@@ -161,7 +161,7 @@ class Sidebar:
     def open_panel(self, name: str, children: bool = False) -> None:
         """Collapse all panels but one by clicks on their headers; `children` also expands its subpanels."""
         box = self.box()
-        self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 8, "--delay", 2, 4)
+        self.blender.input("mousemove", box.x + 60, box.y + 60, "click", "--repeat", 60, "--delay", 2, 4)
         self._measure_box()
         panels, opened = self.panels(), self._open()
         self._top = self._box + 0.6 + _HEADER * (panels.index(name) + 1)
