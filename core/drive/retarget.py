@@ -26,6 +26,7 @@ from ..face.landmarks import (
 )
 from ..heads.regions import LOWER, REGIONS, membership, rms_extent
 from ..numeric.arrays import FloatArray, IntArray, as_points
+from ..takes.correction import without_pins
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
 from ..takes.timing import mark_lost, project
@@ -198,6 +199,7 @@ def anonymise(take: Take) -> Take:
     and dates in `info`. The take drives a head as before, up to rounding. The motion remains, and somebody who knows
     the performer may recognise them by it.
     """
+    take = without_pins(take)
     info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
     result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
     result.confidence[:] = take.confidence

@@ -17,6 +17,7 @@ from ..files.closing import Closing
 from ..files.reading import read_bytes
 from ..files.writing import reason_of, replacing
 from ..tracking.result import TrackResult
+from .correction import solve_pins
 from .format import (
     END,
     FRAMES,
@@ -178,11 +179,23 @@ def save_take(take: Take, path: Path) -> None:
             raise error.__cause__ from error  # `replacing` reports it with the name that the user gave
 
 
-def load_take(path: Path) -> Take:
-    """Read a take.
+def load_take(path: Path, *, solved: bool = True) -> Take:
+    """Read a take, and solve it around its pins.
 
     All intact parts of a truncated or damaged file are read, and ``info["recovered"]`` says in a sentence what is
     missing.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    solved : bool
+        Whether pins correct the landmarks. If not, these are as they were tracked, for editing.
+
+    Returns
+    -------
+    Take
+        The take.
 
     Raises
     ------
@@ -201,7 +214,7 @@ def load_take(path: Path) -> Take:
             "There is no take {path}. Create one: facemime track VIDEO -o {name}", path=path, name=path.name
         )
     try:
-        return take_of(read_bytes(path, _MAX_FILE))
+        return take_of(read_bytes(path, _MAX_FILE), solved=solved)
     except NewerFormatError as error:
         raise SourceError("{path} was written by a newer Facemime. Update Facemime to open it.", path=path) from error
     except (ValueError, OSError) as error:
@@ -212,7 +225,7 @@ def load_take(path: Path) -> Take:
         ) from error
 
 
-def take_of(data: bytes) -> Take:
+def take_of(data: bytes, *, solved: bool = True) -> Take:
     """Read a take from the bytes of a file, as `load_take` does; ValueError if they contain none."""
     reading, most = _Reading(), _MAX_RATIO * len(data) + _MIN_UNPACKED
     for chunk in chunks_in(data):
@@ -223,7 +236,34 @@ def take_of(data: bytes) -> Take:
                 raise DataError(
                     "it unpacks to more than {most} MB, which no recording of its size does", most=most >> 20
                 )
-    return reading.take()
+    take = reading.take()
+    return solve_pins(take) if solved else take
+
+
+def pins_content(take: Take) -> bytes:
+    """Return what is to be appended to the file of a take, so that it has the pins of `take`."""
+    return chunk_bytes(END, info_content(take.info, len(take)))
+
+
+def append_pins(take: Take, path: Path) -> None:
+    """Append the pins of a take to its file, in which nothing is changed; OutputError if that is not possible."""
+    try:
+        with open(path, "r+b") as file:
+            file.seek(0, os.SEEK_END)
+            end = file.tell()
+            try:
+                file.write(pins_content(take))
+                file.flush()
+                os.fsync(file.fileno())
+            except OSError:
+                file.truncate(end)
+                raise
+    except OSError as error:
+        raise OutputError(
+            "The pins cannot be saved in {path}: {reason}. Free some space, or change the permissions.",
+            path=path,
+            reason=reason_of(error),
+        ) from error
 
 
 class _Reading:

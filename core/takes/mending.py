@@ -17,8 +17,10 @@ from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from ..tracking.result import mirror_result
 from ..tracking.tracker import FaceTracker
+from .correction import solve_pins
 from .mending_settings import Mending
 from .neutral import Neutral, calibrate
+from .pins import mirrored, pins_of, with_pins
 from .smooth import CUTOFFS, before_after, smooth_take, smooth_zero_phase
 from .take import FIELDS, Take, TakeRecorder
 from .timing import mark_lost, mix
@@ -139,7 +141,7 @@ def mirror_take(take: Take, mode_signs: FloatArray | None = None) -> Take:
     recorder = TakeRecorder(info)
     for frame, time in enumerate(take.times.tolist()):
         recorder.append(time, mirror_result(take.result(frame), width, mode_signs))
-    return recorder.finish()
+    return with_pins(recorder.finish(), mirrored(pins_of(take), width))
 
 
 def mirror_tracked(take: Take) -> Take:
@@ -150,7 +152,7 @@ def mirror_tracked(take: Take) -> Take:
 
 def renew_neutral(take: Take, frame_time: float) -> Take:
     """Make `calibrate` return the face at a time in seconds; raises SourceError if there is no face then."""
-    neutral = calibrate(take, frame_time - _NEUTRAL_SPAN / 2.0, _NEUTRAL_SPAN)
+    neutral = calibrate(solve_pins(take), frame_time - _NEUTRAL_SPAN / 2.0, _NEUTRAL_SPAN)
     return replace(take, info={**take.info, "calibration": neutral.to_dict()})
 
 

@@ -20,6 +20,7 @@ from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .mending_settings import BLEND
 from .neutral import Neutral
+from .pins import pins_of, shifted, with_pins
 from .take import FIELDS, Take, join
 
 _MAX_STEP = 2.5
@@ -134,7 +135,7 @@ def shift_time(take: Take, seconds: float) -> Take:
     """Add seconds to all times; raises SourceError if they could not be distinguished after the shift."""
     if not (np.isfinite(seconds) and (np.diff(take.times + seconds) > 0.0).all()):
         raise SourceError("The take cannot be shifted by {seconds} s. Use fewer seconds.", seconds=seconds)
-    return replace(take, times=take.times + seconds)
+    return with_pins(replace(take, times=take.times + seconds), shifted(pins_of(take), seconds))
 
 
 def restart(take: Take) -> Take:
@@ -181,7 +182,9 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
     share[~inserted.found & under.found] = 0.0
     parts = [take.part(take.times < inserted.times[0]), mix(under, inserted, share), take.part(take.times > end)]
     spans = [*take.info.get("punched_in", []), [float(start), float(end)]]
-    return replace(join(parts), info={**take.info, "punched_in": spans})
+    kept = [pin for pin in pins_of(take) if not start <= pin.time <= end]
+    added = [pin for pin in pins_of(insert) if start <= pin.time <= end]
+    return with_pins(replace(join(parts), info={**take.info, "punched_in": spans}), [*kept, *added])
 
 
 def between(first: TrackResult, second: TrackResult, share: float) -> TrackResult:
