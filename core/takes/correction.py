@@ -207,7 +207,7 @@ class _Part:
     def _near(self, frames: IntArray, pinned: IntArray) -> FloatArray:
         """Share of a correction in frames `pinned` (P,) that frames (N,) near in time keep, (N, P)."""
         apart = (self._times[frames, None] - self._times[pinned]) / _TIME
-        return np.exp(-0.5 * np.square(apart)) * self._alike(frames, pinned, _LOOK * self._motion)
+        return np.asarray(np.exp(-0.5 * np.square(apart)) * self._alike(frames, pinned, _LOOK * self._motion))
 
     def _alike(self, frames: IntArray, pinned: IntArray, look: float) -> FloatArray:
         return self._looks.part(frames).likeness(self._looks.part(pinned), look)
