@@ -14,6 +14,7 @@ from .operators import (
     calibrate,
     control_points,
     head,
+    landmark_edit,
     own_head,
     parts,
     place_points,
@@ -24,10 +25,11 @@ from .operators import (
     takes,
     viewer,
 )
+from .sessions import landmark_edit as landmark_session
 from .sessions import session, show
 from .settings import panel_properties, performers, preferences, properties, storage, takes_properties
 from .ui import control_points as control_points_panel
-from .ui import documentation, menus, overlays, status
+from .ui import documentation, landmark_editor, menus, overlays, status
 from .ui import head as head_panels
 from .ui import puppet as puppet_panel
 from .ui import source as source_panel
@@ -56,6 +58,7 @@ _MODULES = (
     presets,
     takes,
     take_edits,
+    landmark_edit,
     bake,
     documentation,
     menus,
@@ -67,9 +70,11 @@ _MODULES = (
     takes_panels,
     status,
     overlays,
+    landmark_editor,
     entry,
     session,
     show,
+    landmark_session,
 )
 
 

@@ -50,7 +50,7 @@ class FACEMIME_OT_bake_take(OnTake, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         line = takes_store.chosen(scene)
-        take = takes_store.read(line)
+        take = takes_store.read_corrected(context.scene, line)
         if (session := Session.running()) is not None:
             session.close()
         heads = heads_in(context)

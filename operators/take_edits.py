@@ -47,7 +47,7 @@ class _AddsEditedTake(OnTake):
 
     def work(self, context: bpy.types.Context) -> None:
         line = takes_store.chosen(context.scene)
-        edited = self.changed(context, takes_store.read(line))
+        edited = self.changed(context, takes_store.read(line, solved=False))
         takes_store.keep_beside(context.scene, edited, f"{line.name}_{self.suffix}")
 
 
@@ -130,7 +130,9 @@ class FACEMIME_OT_renew_neutral(OnTake, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         line, scene = takes_store.chosen(context.scene), context.scene
-        takes_store.change(line, renew_neutral(takes_store.read(line), seconds_of(scene, take_start(scene))))
+        takes_store.change(
+            line, renew_neutral(takes_store.read(line, solved=False), seconds_of(scene, take_start(scene)))
+        )
 
 
 class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
@@ -169,7 +171,7 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
         line = context.scene.facemime_takes.items.get(self.other)
         if line is None:
             raise FacemimeError("This take is not in the list. Select the take to insert.")
-        insert = takes_store.read(line)
+        insert = takes_store.read(line, solved=False)
         insert = shift_time(insert, self.start + float(take.times[0]) - float(insert.times[0]))
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 

@@ -127,7 +127,9 @@ class FACEMIME_OT_show_take(OnTake, bpy.types.Operator):
             show.close()
         else:
             with reporting_range(self, context.scene):
-                show = TakeShow(context.scene, heads_in(context), takes_store.read(takes_store.chosen(context.scene)))
+                line = takes_store.chosen(context.scene)
+                take = takes_store.read_corrected(context.scene, line)
+                show = TakeShow(context.scene, heads_in(context), take, line.path)
             for warning in show.warnings:
                 report(self, warning, "WARNING")
 
@@ -228,8 +230,9 @@ class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):
     filter_glob: StringProperty(default="*.facetake;*.csv", options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> None:
-        take = takes_store.read(takes_store.chosen(context.scene))
-        if self.path.suffix.lower() == ".csv":
+        line, is_table = takes_store.chosen(context.scene), self.path.suffix.lower() == ".csv"
+        take = takes_store.read(line, solved=is_table)
+        if is_table:
             to_csv(take, self.path)
         else:
             save_take(take, self.path_ending(SUFFIX))

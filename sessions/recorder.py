@@ -105,7 +105,9 @@ class PunchIn:
         if line is None:
             raise FacemimeError("The take is no longer in the list. The recording was added as a separate take.")
         insert = shift_time(load_take(recording.path), self._start)
-        takes_store.change(line, punch_in(takes_store.read(line), insert, self._start, self._end, self._blend))
+        takes_store.change(
+            line, punch_in(takes_store.read(line, solved=False), insert, self._start, self._end, self._blend)
+        )
 
     def _stop_playback(self) -> None:
         if (scene := bpy.data.scenes.get(self._scene)) is not None:

@@ -51,14 +51,15 @@ class _Wanted:
 class TakeShow(Session):
     """Displays a take on heads at the current frame until `close`, in time with a bake.
 
-    The settings and the frame of the scene are followed. `warnings` say what keeps the take from being seen. Raises
-    FacemimeError if a head cannot be driven, or the take contains no face.
+    The settings and the frame of the scene are followed. `path` is that of the take in the list. `warnings` say what
+    keeps the take from being seen. Raises FacemimeError if a head cannot be driven, or the take contains no face.
     """
 
-    def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take) -> None:
+    def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take, path: str = "") -> None:
         if not objects:
             raise HeadError("No head is selected. Use Add > Mesh > Facemime Head, or find the face of your own.")
         settings = scene.facemime
+        self.path = path
         self._recorded, self._wanted = take, _Wanted.of(scene)
         self._performance = Performance.of(take, self._wanted.puppet)
         keys = [keys_of(scene, obj) for obj in objects]
@@ -95,11 +96,21 @@ class TakeShow(Session):
         before, wanted = self._wanted, _Wanted.of(scene)
         if wanted == before:
             return False
-        self._wanted = wanted
         if (wanted.puppet.smoothing, wanted.puppet.neutral) != (before.puppet.smoothing, before.puppet.neutral):
             self._performance = Performance.of(self._recorded, wanted.puppet)
         else:
             self._performance = replace(self._performance, settings=wanted.puppet.drive)
+        self._drive(scene, wanted)
+        return True
+
+    def renew(self, scene: bpy.types.Scene, take: Take) -> None:
+        """Display an edited version of the take; raises FacemimeError as `follow`."""
+        self._recorded, wanted = take, _Wanted.of(scene)
+        self._performance = Performance.of(take, wanted.puppet)
+        self._drive(scene, wanted)
+
+    def _drive(self, scene: bpy.types.Scene, wanted: _Wanted) -> None:
+        self._wanted = wanted
         for number, shown in enumerate(self.heads):
             if not shown.gone:
                 keys, earlier = keys_of(scene, shown.obj), self._drivers[number]
@@ -108,7 +119,6 @@ class TakeShow(Session):
                 shown.follow = Follow(wanted.puppet.rotation, wanted.puppet.translation)
                 shown.drive_by(names_of(keys))
         self.show(scene)
-        return True
 
     def show(self, scene: bpy.types.Scene) -> None:
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""

@@ -17,7 +17,7 @@ from ..core.puppet.worker import LiveOptions
 from ..core.streams.source import StreamSource
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings
-from ..settings.performers import read_calibration, write_calibration
+from ..settings.performers import read_calibration, read_learnt, write_calibration
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings
 from ..settings.rna import read
@@ -66,6 +66,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
     tracked = is_tracked(settings.source)
     neutral = read_calibration(settings) if tracked else None
+    learnt = read_learnt(settings) if tracked else ()
     live = settings.source.kind in _SELF
     if neutral is not None and not (neutral.asked or live):
         neutral = None
@@ -85,6 +86,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         on_learnt=keep_calibration if live else None,
         output=output,
     )
+    session.worker.first.corrections = learnt
     session.keep, session.drive_by = settings.keep_pose, settings.drive_by
     try:
         session.displays.view(open_viewer(settings, objects))

@@ -6,21 +6,29 @@ They are remembered until Blender quits, and stored in the .blend file only if t
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from uuid import uuid4
 
 import bpy
 
 from ..core.errors import FacemimeError
+from ..core.takes.learnt import Learnt, learnt_from_json, learnt_to_json
 from ..core.takes.neutral import Neutral
 from .properties import FacemimePerformer, FacemimeSettings
 
-_session: dict[str, str] = {}
-"""Calibrations of this session as JSON, by the keys of the performers."""
+_session: dict[tuple[str, str], str] = {}
+"""What is known of performers in this session, as JSON, by their keys and the names of their properties."""
+_KNOWN = ("calibration", "learnt")
+"""Properties that describe a performer's face."""
 
 
 def calibration_of(performer: FacemimePerformer) -> str:
     """Return the JSON of a performer's calibration, from this session or otherwise from the file, or ""."""
-    return _session.get(performer.key) or str(performer.calibration)
+    return _known(performer, "calibration")
+
+
+def _known(performer: FacemimePerformer, name: str) -> str:
+    return _session.get((performer.key, name)) or str(getattr(performer, name))
 
 
 def read_calibration(settings: FacemimeSettings) -> Neutral | None:
@@ -44,14 +52,33 @@ def write_calibration(settings: FacemimeSettings, neutral: Neutral) -> str:
 
     It is stored in the .blend file only if the user has asked for that.
     """
+    return _remember(settings, "calibration", json.dumps(neutral.to_dict()))
+
+
+def _remember(settings: FacemimeSettings, name: str, text: str) -> str:
+    """Remember what is known of the selected performer, or of a new one, and return the performer's name."""
     if selected_performer(settings) is None:
         add_performer(settings)
     performer = settings.performers[settings.performer]
     performer.key = performer.key or uuid4().hex
-    _session[performer.key] = json.dumps(neutral.to_dict())
-    if settings.keep_calibrations:
-        performer.calibration = _session[performer.key]
+    _session[performer.key, name] = text
+    setattr(performer, name, text if settings.keep_calibrations else "")
     return str(performer.name)
+
+
+def write_learnt(settings: FacemimeSettings, learnt: Sequence[Learnt]) -> str:
+    """Remember what was learnt from pins for the selected performer, or a new one, and return the performer's name.
+
+    It is stored in the .blend file only if the user has asked for that.
+    """
+    return _remember(settings, "learnt", learnt_to_json(learnt))
+
+
+def read_learnt(settings: FacemimeSettings) -> tuple[Learnt, ...]:
+    """Return what was learnt from pins about the selected performer; raises SourceError if that is damaged."""
+    performer = selected_performer(settings)
+    text = "" if performer is None else _known(performer, "learnt")
+    return learnt_from_json(text) if text else ()
 
 
 def add_performer(settings: FacemimeSettings, name: str = "") -> None:
@@ -72,9 +99,10 @@ def remove_performer(settings: FacemimeSettings) -> None:
 
 
 def forget(performer: FacemimePerformer) -> None:
-    """Remove the calibration of a performer from the session and the file."""
-    _session.pop(performer.key, None)
-    performer.calibration = ""
+    """Remove what is known of a performer from the session and the file."""
+    for name in _KNOWN:
+        _session.pop((performer.key, name), None)
+        setattr(performer, name, "")
 
 
 def _before_saving(*_: object) -> None:
@@ -90,17 +118,19 @@ def _follow_keeping(settings: FacemimeSettings) -> None:
     That is done before a file is saved, as a setting that calls a function makes Blender 4.2 crash when it quits.
     """
     for performer in settings.performers:
-        text = calibration_of(performer)
-        if text:
-            performer.key = performer.key or uuid4().hex
-            _session[performer.key] = text
-        performer.calibration = text if settings.keep_calibrations else ""
+        for name in _KNOWN:
+            text = _known(performer, name)
+            if text:
+                performer.key = performer.key or uuid4().hex
+                _session[performer.key, name] = text
+            setattr(performer, name, text if settings.keep_calibrations else "")
 
 
 def stored_performers() -> list[FacemimePerformer]:
     """Return the performers whose calibrations are stored in the open .blend file, of all its scenes."""
     scenes = [scene for scene in bpy.data.scenes if scene.library is None]
-    return [performer for scene in scenes for performer in scene.facemime.performers if performer.calibration]
+    everybody = [performer for scene in scenes for performer in scene.facemime.performers]
+    return [performer for performer in everybody if any(getattr(performer, name) for name in _KNOWN)]
 
 
 def clear_file() -> None:
@@ -109,7 +139,8 @@ def clear_file() -> None:
         if scene.library is None:
             scene.facemime.keep_calibrations = False
             for performer in scene.facemime.performers:
-                performer.calibration = ""
+                for name in _KNOWN:
+                    setattr(performer, name, "")
 
 
 HANDLERS = {"save_pre": _before_saving}

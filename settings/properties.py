@@ -291,10 +291,11 @@ class FacemimePosing(bpy.types.PropertyGroup):
 
 
 class FacemimePerformer(bpy.types.PropertyGroup):
-    """A performer, with name and calibration."""
+    """A performer: a name, a calibration, and what was learnt from pins."""
 
     key: StringProperty(options={"HIDDEN"})
     calibration: StringProperty(options={"HIDDEN"})
+    learnt: StringProperty(options={"HIDDEN"})
 
 
 @with_settings(DriveSettings, PuppetSettings, TrackingSettings)

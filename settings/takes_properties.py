@@ -20,7 +20,10 @@ from .rna import with_settings
 
 
 class FacemimeTake(bpy.types.PropertyGroup):
-    """A take in the list: its file, and the user's notes on it."""
+    """A take in the list: its file, and the user's notes on it.
+
+    `pins` is the JSON of those that the file has, so that an undo can restore them; "" in files of earlier versions.
+    """
 
     path: StringProperty(name="File", description="Path of the take, relative to a saved .blend file")
     packed: PointerProperty(
@@ -29,6 +32,7 @@ class FacemimeTake(bpy.types.PropertyGroup):
     length: FloatProperty(name="Length", subtype="TIME_ABSOLUTE", min=0.0)
     star: BoolProperty(name="Favourite", description="Mark this take as a favourite")
     note: StringProperty(name="Note", description="Your note on this take")
+    pins: StringProperty(options={"HIDDEN"})
 
 
 COARSEST = 2.0

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import binascii
+import json
 import os
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -12,9 +14,13 @@ import bpy
 
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError, SourceError
-from ..core.takes.file import SUFFIX, load_take, save_take, take_of
+from ..core.files.reading import as_object, parse_json
+from ..core.takes.file import SUFFIX, append_pins, load_take, pins_content, save_take, take_of
 from ..core.takes.format import NewerFormatError
+from ..core.takes.learnt import corrected
+from ..core.takes.pins import LEARN, PINS, pins_of
 from ..core.takes.take import Take
+from .performers import read_learnt
 from .storage import TAKES, default_folder, free_path, located, project_folder, relative
 from .takes_properties import FacemimeTake
 
@@ -58,7 +64,7 @@ def add(scene: bpy.types.Scene, path: Path, take: Take | None = None) -> Facemim
     takes = scene.facemime_takes
     line = takes.items.add()
     line.name, line.path = path.stem, relative(path)
-    line.length = _length(take)
+    line.length, line.pins = _length(take), pins_json(take)
     takes.index = len(takes.items) - 1
     redraw(bpy.context, "UI")
     return line
@@ -95,19 +101,59 @@ def change(line: FacemimeTake, take: Take) -> None:
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed, line.length = relative(path), None, _length(take)
+    line.pins = pins_json(take)
     redraw(bpy.context, "UI")
 
 
-def read(line: FacemimeTake) -> Take:
-    """Read the take of `line`; raises SourceError if its file is missing or damaged."""
+def read(line: FacemimeTake, *, solved: bool = True) -> Take:
+    """Read the take of `line`, as `load_take` does; raises SourceError if its file is missing or damaged."""
     if line.packed is not None:
-        return _unpacked(line)
+        return _unpacked(line, solved)
     path = located(line.path)
     if not os.path.isfile(path):
         raise SourceError(
             "The file of the take {name} is missing: {path}. Restore it, or import it again.", name=line.name, path=path
         )
-    return _loaded(path, path.stat().st_mtime_ns)
+    return _loaded(path, path.stat().st_mtime_ns, solved)
+
+
+def read_corrected(scene: bpy.types.Scene, line: FacemimeTake) -> Take:
+    """Read a take as `read`, corrected by what other pins have told about the selected performer of a scene."""
+    take = read(line)
+    if pins_of(take) or take.info.get("measured"):
+        return take
+    return corrected(take, read_learnt(scene.facemime))
+
+
+def write_pins(line: FacemimeTake, take: Take) -> None:
+    """Give the file of `line` the pins of `take`, without changing what was tracked; raises OutputError."""
+    if line.packed is not None:
+        data = base64.b64decode(line.packed.as_string()) + pins_content(take)
+        line.packed.from_string(base64.encodebytes(data).decode("ascii"))
+    else:
+        append_pins(take, located(line.path))
+    line.pins = pins_json(take)
+
+
+def has_pins(line: FacemimeTake) -> bool:
+    """Return whether the take of `line` has pins, without reading it."""
+    return f'"{PINS}"' in line.pins
+
+
+def learns(line: FacemimeTake) -> bool:
+    """Return whether they also correct alike frames."""
+    return f'"{LEARN}"' in line.pins
+
+
+def pins_json(take: Take) -> str:
+    """Return the pins of a take, and whether it learns from them, as JSON."""
+    return json.dumps({key: take.info[key] for key in (PINS, LEARN) if key in take.info})
+
+
+def with_pins_of(take: Take, text: str) -> Take:
+    """Return a take with the result of `pins_json` for another state of it."""
+    info = {key: value for key, value in take.info.items() if key not in (PINS, LEARN)}
+    return replace(take, info=info | as_object(parse_json(text.encode()), "it"))
 
 
 def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
@@ -132,7 +178,7 @@ def sound_beside(video: Path) -> Path:
 
 def pack(line: FacemimeTake) -> None:
     """Pack the take of `line` into the .blend file; its own file is kept."""
-    read(line)
+    read(line, solved=False)
     data = located(line.path).read_bytes()
     text = bpy.data.texts.new(f"{line.name}{SUFFIX}")
     text.from_string(base64.encodebytes(data).decode("ascii"))
@@ -141,7 +187,7 @@ def pack(line: FacemimeTake) -> None:
 
 def unpack(line: FacemimeTake) -> Path:
     """Write the packed take of `line` to a new file and return its path."""
-    take, text = read(line), line.packed
+    take, text = read(line, solved=False), line.packed
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed = relative(path), None
@@ -170,15 +216,15 @@ def _length(take: Take) -> float:
 
 
 @lru_cache(maxsize=4)
-def _loaded(path: Path, changed: int) -> Take:
-    return load_take(path)
+def _loaded(path: Path, changed: int, solved: bool) -> Take:
+    return load_take(path, solved=solved)
 
 
-def _unpacked(line: FacemimeTake) -> Take:
+def _unpacked(line: FacemimeTake, solved: bool) -> Take:
     text = line.packed
     assert text is not None
     try:
-        return take_of(base64.b64decode(text.as_string()))
+        return take_of(base64.b64decode(text.as_string()), solved=solved)
     except NewerFormatError as error:
         raise SourceError(
             "The packed take {name} was written by a newer Facemime. Update Facemime.", name=line.name

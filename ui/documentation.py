@@ -39,6 +39,9 @@ PANELS = {
 _MANUAL = (
     ("bpy.ops.facemime.bake_take*", f"{_TAKES}#baking"),
     ("bpy.ops.facemime.mend_take*", f"{_TAKES}#mending"),
+    ("bpy.ops.facemime.edit_landmarks*", f"{_TAKES}#pins"),
+    ("bpy.ops.facemime.next_doubtful*", f"{_TAKES}#pins"),
+    ("bpy.ops.facemime.learn_from_pins*", f"{_TAKES}#pins"),
     ("bpy.ops.facemime.take_from_animation*", f"{_TAKES}#takes-from-animation"),
     ("bpy.ops.facemime.*take*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_sound*", f"{_TAKES}#in-blender"),

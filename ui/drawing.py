@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from inspect import signature
 from typing import Any
 
 import blf
@@ -26,6 +27,36 @@ _PIECE = re.compile(rf" ?[{_OPENING}]*(?:[{_WIDE}]|[^ {_WIDE}{_OPENING}{_CLOSING
 """Text that stays on one line: a word, or a wide character, with adjacent punctuation."""
 
 
+class Picture:
+    """A picture that is uploaded to the graphics card when it changes."""
+
+    def __init__(self) -> None:
+        self._texture: Any = None
+        self._number: object = None
+
+    def clear(self) -> None:
+        """Free the texture."""
+        self._texture, self._number = None, None
+
+    def draw(
+        self, number: object, rgba: NDArray[np.float32], place: tuple[float, float], size: tuple[float, float]
+    ) -> None:
+        """Draw RGBA (H, W, 4) from the lowest row up, 0 to 1; another `number` says that it is another picture."""
+        import gpu
+        from gpu_extras.presets import draw_texture_2d
+
+        if number != self._number or self._texture is None:
+            height, width = rgba.shape[:2]
+            types: Any = gpu.types  # the stubs lack constructors
+            buffer = types.Buffer("FLOAT", rgba.size, np.ascontiguousarray(rgba).reshape(-1))
+            self._texture = types.GPUTexture((width, height), format="RGBA8", data=buffer)
+            self._number = number
+        gpu.state.blend_set("NONE")
+        # Since Blender 5.0 the viewport's frame buffer leaves the conversion from linear light to the caller.
+        conversion = signature(draw_texture_2d).parameters.keys() & {"is_scene_linear_with_rec709_srgb_target"}
+        draw_texture_2d(self._texture, place, *size, **dict.fromkeys(conversion, True))
+
+
 def dot(place: NDArray[np.float64], radius: float, colour: tuple[float, ...]) -> tuple[NDArray[Any], NDArray[Any]]:
     """Triangulate a dot with its middle at `place` (2,): corners (3 T, 2) of T triangles, and their RGBA (3 T, 4)."""
     circle = place + radius * _CIRCLE
@@ -38,6 +69,13 @@ def draw_triangles(triangles: list[tuple[NDArray[Any], NDArray[Any]]]) -> None:
     """Draw triangles, given as (corners, colours), in their order."""
     if triangles:
         _draw("TRIS", *(np.concatenate(part) for part in zip(*triangles, strict=True)))
+
+
+def draw_rectangle(place: tuple[float, float], size: tuple[float, float], colour: tuple[float, ...]) -> None:
+    """Draw a rectangle from its lower left corner."""
+    low, high = np.array(place), np.array(place) + size
+    corners = np.array([low, (high[0], low[1]), high, low, high, (low[0], high[1])], dtype=np.float32)
+    draw_triangles([(corners, np.tile(np.array(colour, dtype=np.float32), (6, 1)))])
 
 
 def draw_lines(ends: NDArray[np.float64], colour: tuple[float, float, float, float]) -> None:
@@ -81,9 +119,7 @@ def draw_plate(text: str, place: tuple[float, float], size: float) -> None:
         return
     blf.size(_FONT, size)
     width, pad = blf.dimensions(_FONT, text)[0], 0.4 * size
-    low, high = np.array(place) - pad, np.array(place) + (width + pad, 0.7 * size + pad)
-    corners = np.array([low, (high[0], low[1]), high, low, high, (low[0], high[1])], dtype=np.float32)
-    draw_triangles([(corners, np.tile(np.array(_PLATE, dtype=np.float32), (6, 1)))])
+    draw_rectangle((place[0] - pad, place[1] - pad), (width + 2.0 * pad, 0.7 * size + 2.0 * pad), _PLATE)
     draw_text(text, place, size)
 
 

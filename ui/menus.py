@@ -34,6 +34,8 @@ _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("facemime.show_take", "HIDE_OFF"),
         ("facemime.trim_take", "ARROW_LEFTRIGHT"),
         ("facemime.mend_take", "MODIFIER"),
+        ("facemime.edit_landmarks", "EMPTY_AXIS"),
+        ("facemime.next_doubtful_frame", "VIEWZOOM"),
         ("facemime.bake_take", "ACTION"),
         ("facemime.export_gltf", "EXPORT"),
     ),

@@ -6,12 +6,8 @@ The worker has already drawn the landmarks into the preview; this module only up
 
 from __future__ import annotations
 
-from inspect import signature
-from typing import Any
-
 import bpy
 import numpy as np
-from numpy.typing import NDArray
 
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
@@ -23,7 +19,7 @@ from ..operators.preview_place import MARGIN, Box, has_preview, preview_box
 from ..operators.puppet import running
 from ..sessions.live import LiveSession
 from ..sessions.tracking import TrackingSession
-from .drawing import draw_lines, draw_plate, draw_text, draw_wrapped
+from .drawing import Picture, draw_lines, draw_plate, draw_text, draw_wrapped
 
 _STAGES = messages(
     {
@@ -144,17 +140,13 @@ def _stream_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     return lines
 
 
-class _Preview:
-    """The texture of the newest image."""
-
-    texture: Any = None
-    number = -1
+_picture = Picture()
 
 
 def _draw() -> None:
     session = running()
     if session is None:
-        _Preview.texture = None
+        _picture.clear()
         return
     context, latest, seen = bpy.context, session.shown, viewport_drawn(bpy.context)
     if seen is None or context.screen is None:
@@ -163,7 +155,7 @@ def _draw() -> None:
     if latest is not None and latest.preview is not None and has_preview(context.screen, seen.region):
         height, width = latest.preview.shape[:2]
         box = preview_box(seen.area, seen.region, (height, width))
-        _draw_picture(latest.number, latest.preview, box)
+        _picture.draw(latest.number, latest.preview, box[:2], box[2:])
         _draw_grip(box, scale)
         draw_plate(session.stopwatch.text, (box.left, box.bottom + box.height + 6 * scale), 11 * scale)
     free = free_box(seen.area, seen.region)
@@ -171,22 +163,6 @@ def _draw() -> None:
     _draw_countdown(span, seen.region.height, session, scale)
     if session.recorder.recording is not None:
         _draw_recording(span, free.top, session.recorder.recording.seconds, scale)
-
-
-def _draw_picture(number: int, picture: NDArray[Any], box: Box) -> None:
-    import gpu
-    from gpu_extras.presets import draw_texture_2d
-
-    if number != _Preview.number or _Preview.texture is None:
-        height, width = picture.shape[:2]
-        types: Any = gpu.types  # the stubs lack constructors
-        buffer = types.Buffer("FLOAT", picture.size, np.ascontiguousarray(picture).reshape(-1))
-        _Preview.texture = types.GPUTexture((width, height), format="RGBA8", data=buffer)
-        _Preview.number = number
-    gpu.state.blend_set("NONE")
-    # Since Blender 5.0 the viewport's frame buffer leaves the conversion from linear light to the caller.
-    conversion = signature(draw_texture_2d).parameters.keys() & {"is_scene_linear_with_rec709_srgb_target"}
-    draw_texture_2d(_Preview.texture, box[:2], *box[2:], **dict.fromkeys(conversion, True))
 
 
 def _draw_grip(box: Box, scale: float) -> None:
@@ -212,7 +188,7 @@ def _draw_recording(span: tuple[float, float], height: float, seconds: float, sc
 
 def unregister() -> None:
     """Free the texture."""
-    _Preview.texture = None
+    _picture.clear()
 
 
 OVERLAYS = {_draw: "POST_PIXEL"}

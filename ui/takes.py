@@ -13,7 +13,9 @@ from ..core.bake.bake_settings import AUTOMATIC
 from ..core.takes.table_times import timecode
 from ..operators.puppet import running
 from ..operators.shared import subject
+from ..sessions.landmark_edit import LandmarkEdit
 from ..sessions.show import TakeShow
+from ..settings import takes_store
 from ..settings.takes_properties import FacemimeKeyRow, FacemimeTake, table_so_far
 from .sidebar import List, Sidebar, draw_list, labels, place, props, split_labels
 
@@ -84,6 +86,11 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("facemime.trim_take", text="Trim", icon="ARROW_LEFTRIGHT")
         row.operator("facemime.mend_take", text="Mend", icon="MODIFIER")
+        row = column.row(align=True)
+        row.operator("facemime.edit_landmarks", icon="EMPTY_AXIS", depress=LandmarkEdit.current is not None)
+        row.operator("facemime.next_doubtful_frame", text="", icon="VIEWZOOM")
+        if takes_store.has_pins(take):
+            column.operator("facemime.learn_from_pins", icon="LIGHT", depress=takes_store.learns(take))
         if session is not None:
             column.operator("facemime.rerecord_take", icon="REC", depress=punch_in is not None)
 
@@ -112,6 +119,7 @@ class FACEMIME_MT_takes(bpy.types.Menu):
         layout.separator()
         layout.operator("facemime.rerecord_take", icon="REC")
         layout.operator("facemime.punch_in_take", icon="PASTEDOWN")
+        layout.operator("facemime.learn_from_pins", icon="LIGHT")
         layout.operator("facemime.renew_neutral", icon="USER")
 
 

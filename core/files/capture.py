@@ -102,20 +102,27 @@ class VideoSource(Closing):
         self.frame_count = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
 
     def __iter__(self) -> Iterator[Frame]:
-        start = previous = None
-        index = 0
-        while True:
-            read, image = self._capture.read()
-            if not read or image is None:
+        for index, time in enumerate(self.times()):
+            if (image := self.image()) is None:
                 break
+            yield Frame(image, time, index)
+
+    def image(self) -> NDArray[np.uint8] | None:
+        """Return the image of the frame at which `times` is, (H, W, 3) BGR, or None if it cannot be decoded."""
+        read, image = self._capture.retrieve()
+        return np.asarray(image, dtype=np.uint8) if read and image is not None else None
+
+    def times(self) -> Iterator[float]:
+        """Advance from frame to frame, and yield the time of each in seconds from the first one."""
+        start = previous = None
+        while self._capture.grab():
             stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
             if previous is not None and not stamp > previous:
                 stamp = previous + 1.0 / self.fps
             start = stamp if start is None else start
             previous = stamp
-            yield Frame(np.asarray(image, dtype=np.uint8), stamp - start, index)
-            index += 1
-        if index == 0:
+            yield stamp - start
+        if start is None:
             raise SourceError(
                 "No frame of {path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
                 "Convert it to MP4 (H.264) and try again.",

@@ -16,7 +16,9 @@ from ..drive.driver import HeadDriver
 from ..errors import FacemimeError, Message, SourceError
 from ..heads.rig import HeadRig
 from ..numeric.arrays import FloatArray
+from ..takes.correction import solve_pins
 from ..takes.face_space import load_face_space
+from ..takes.learnt import Learnt, corrected_result
 from ..takes.neutral import Neutral, calibrate, shut_level, trust
 from ..takes.smooth import smooth_take
 from ..takes.take import Take, TakeRecorder
@@ -61,7 +63,8 @@ class Performance:
 
         Raises SourceError if the take has no face, or none in the neutral second of the settings.
         """
-        take = smooth_take(take, settings.smoothing)
+        if (calm := smooth_take(take, settings.smoothing)) is not take:
+            take = solve_pins(calm)  # a lid that was pinned shut stays shut
         return cls(take, calibrate(take, settings.neutral), settings.drive)
 
     def driver(self, rig: HeadRig, reuse: HeadDriver | None = None) -> HeadDriver:
@@ -182,7 +185,9 @@ class Performer:
     result : TrackResult or None
         The newest result, smoothed.
     recent : deque of (float, TrackResult)
-        Times in seconds and results of the last half minute.
+        Times in seconds and results of the last half minute, as tracked.
+    corrections : tuple of Learnt
+        What pins have told about the performer, by which results are corrected.
     """
 
     def __init__(self, neutral: Neutral | None = None) -> None:
@@ -190,6 +195,7 @@ class Performer:
         self.quality: Quality | None = None
         self.result: TrackResult | None = None
         self.recent: deque[tuple[float, TrackResult]] = deque(maxlen=_RECENT)
+        self.corrections: tuple[Learnt, ...] = ()
         self._calibration: NeutralCalibration | RangeCalibration | None = None
         self._stated: Neutral | None = None
         self._first = None if neutral is not None else NeutralCalibration(asked=False)
@@ -224,13 +230,15 @@ class Performer:
     def add(self, frame: LiveFrame, seen: TrackResult, *, smoothing: float, learn: bool) -> TrackResult:
         """Add a frame and its result, as tracked, and return the one to display.
 
-        It is returned to rest if the source has stopped, and smoothed by the amount for `ResultSmoother`, 0 for none.
+        It is corrected, returned to rest if the source has stopped, and smoothed by the amount for `ResultSmoother`, 0
+        for none.
         `learn` is whether to learn from the frame.
         """
         self._adopt(frame.neutral)
         if not frame.filled:
             self.recent.append((frame.time, seen))
-        self.result = result = self._smoothed(self._eased(seen, frame.rest), frame.time, smoothing)
+        eased = self._eased(corrected_result(seen, self.corrections), frame.rest)
+        self.result = result = self._smoothed(eased, frame.time, smoothing)
         if not frame.filled:
             self._calibrate(frame.time, result)
             if learn and frame.rest <= 0.0:

@@ -36,8 +36,9 @@ _ACTIVATION = 0.3
 """Standard deviation of the error of an expression's activation."""
 _OWN = 0.03
 """Standard deviation of the error of landmarks that no expression explains, in eye distances."""
-_OWN_REACH = 0.15
-"""Distance over which neighbouring landmarks share it, in eye distances."""
+_OWN_REACH = (0.15, 0.05)
+"""Distances across and down over which neighbouring landmarks share it, in eye distances: lids and lips that face each
+other err by themselves."""
 _REACH = 0.5
 """Distance over which landmarks share the error of an expression, in eye distances."""
 _DEPTH = 0.5
@@ -88,17 +89,15 @@ class _Pins:
 
 @dataclass(frozen=True)
 class _Slit:
-    """Lids or lips that face each other: landmarks (n,), their gaps, and when they are nearly shut.
+    """Lids or lips that face each other: landmarks (n,), and their gaps.
 
-    `share` is how much of a gap the upper ones close; `most` is the opening that is nearly shut, as a share of the
-    usual one or, if `absolute`, in eye distances.
+    `most` is the opening that is nearly shut, as a share of the usual one or, if `absolute`, in eye distances.
     """
 
     upper: IntArray
     lower: IntArray
     measure: Callable[[FloatArray], FloatArray]
     columns: slice
-    share: float
     most: float
     absolute: bool = False
 
@@ -106,15 +105,15 @@ class _Slit:
         """Gaps of shapes (N, 66, 3), (N, n)."""
         return np.asarray(self.measure(shapes)[:, self.columns])
 
-    def nearly_shut(self, gaps: FloatArray) -> float:
-        """Mean gap below which pins mean shut."""
+    def most_of(self, gaps: FloatArray) -> float:
+        """Mean gap below which pins mean shut, for the usual gaps (N, n)."""
         return self.most if self.absolute else self.most * float(np.median(gaps.mean(axis=1)))
 
 
 _SLITS = (
-    _Slit(UPPER_LIDS[:2], LOWER_LIDS[:2], lid_gaps, slice(0, 2), 1.0, 0.2),
-    _Slit(UPPER_LIDS[2:], LOWER_LIDS[2:], lid_gaps, slice(2, 4), 1.0, 0.2),
-    _Slit(UPPER_LIPS, LOWER_LIPS, lip_gaps, slice(0, 3), 0.5, 0.015, absolute=True),
+    _Slit(UPPER_LIDS[:2], LOWER_LIDS[:2], lid_gaps, slice(0, 2), 0.2),
+    _Slit(UPPER_LIDS[2:], LOWER_LIDS[2:], lid_gaps, slice(2, 4), 0.2),
+    _Slit(UPPER_LIPS, LOWER_LIPS, lip_gaps, slice(0, 3), 0.015, absolute=True),
 )
 
 
@@ -122,12 +121,12 @@ _SLITS = (
 def covariance() -> FloatArray:
     """Covariance of the errors of landmarks, (66, 3, 66, 3), in squared eye distances."""
     space = load_face_space()
-    away = np.linalg.norm(space.mean[:, None, :2] - space.mean[None, :, :2], axis=2)
+    apart = space.mean[:, None, :2] - space.mean[None, :, :2]
     units = _ACTIVATION * space.units.reshape(len(space.units), -1)
     shared = (units.T @ units).reshape(N_LANDMARKS, 3, N_LANDMARKS, 3)
-    own = _OWN**2 * np.exp(-0.5 * np.square(away / _OWN_REACH))
+    own = _OWN**2 * np.exp(-0.5 * np.square(apart / _OWN_REACH).sum(axis=2))
     depth = np.diag([1.0, 1.0, _DEPTH**2])
-    near = np.exp(-0.5 * np.square(away / _REACH))
+    near = np.exp(-0.5 * np.square(apart / _REACH).sum(axis=2))
     return np.asarray(shared * near[:, None, :, None] + own[:, None, :, None] * depth[None, :, None])
 
 
@@ -222,20 +221,30 @@ class _Part:
         near = self._lasting
         if learns and self.learnt is not None:
             near = self._kernel(np.arange(len(self._times)), pins.frames, self.learnt.look)
+        tracked = shapes.copy()
         shapes[:, part] += np.tensordot(near, pins.moved(near[pins.frames]), 1)
-        self._close(shapes)
+        self._close(shapes, tracked)
 
-    def _close(self, shapes: FloatArray) -> None:
-        """Close the lids or lips that pins have all but closed, for as long as the correction lasts."""
+    def _close(self, shapes: FloatArray, tracked: FloatArray) -> None:
+        """Close the lids or lips that pins have all but closed, for as long as the correction lasts.
+
+        A lid that is dragged to the other one shuts the eye, even if it has taken that one along.
+        """
         pins = self._pins
         for slit in _SLITS:
-            mine = np.isin(pins.landmarks, [*slit.upper, *slit.lower])
-            gaps = slit.gaps(shapes)
-            shut = mine & (gaps[pins.frames].mean(axis=1) < slit.nearly_shut(gaps))
+            upper, lower = (np.isin(pins.landmarks, side) for side in (slit.upper, slit.lower))
+            dragged = tracked.copy()
+            for side, pinned in ((slit.upper, upper), (slit.lower, lower)):
+                if pinned.any():
+                    dragged[:, side] = shapes[:, side]
+            gaps, most = slit.gaps(shapes), slit.most_of(slit.gaps(tracked))
+            least = np.minimum(gaps.mean(axis=1), slit.gaps(dragged).mean(axis=1))
+            shut = (upper | lower) & (least[pins.frames] < most)
             if shut.any():
                 closing = self._lasting[:, shut].max(axis=1)[:, None] * gaps
-                shapes[:, slit.upper, 1] += slit.share * closing
-                shapes[:, slit.lower, 1] -= (1.0 - slit.share) * closing
+                share = float(lower[shut].sum() / shut.sum())  # what is pinned stays
+                shapes[:, slit.upper, 1] += share * closing
+                shapes[:, slit.lower, 1] -= (1.0 - share) * closing
 
     def _learn(self) -> Learnt | None:
         """Return what the pins of this part tell about alike frames; None if they do not predict each other."""

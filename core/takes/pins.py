@@ -76,6 +76,12 @@ def learns_from_pins(take: Take) -> bool:
     return take.info.get(LEARN) is True
 
 
+def with_learning(take: Take, learns: bool) -> Take:
+    """Return a take whose pins also correct alike frames, or do not."""
+    info = {key: value for key, value in take.info.items() if key != LEARN}
+    return replace(take, info={**info, LEARN: True} if learns else info)
+
+
 def frames_of_pins(take: Take, times: FloatArray) -> tuple[IntArray, NDArray[np.bool_]]:
     """Return which of the frames with a face is nearest to each time, (P,), and whether it is shown at that time."""
     seen = take.times[take.found]
