@@ -67,6 +67,7 @@ class FACEMIME_OT_edit_landmarks(OnTake, bpy.types.Operator):
         )
         context.window_manager.modal_handler_add(self)
         redraw(context)
+        redraw(context, "UI")
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
@@ -186,6 +187,7 @@ class FACEMIME_OT_edit_landmarks(OnTake, bpy.types.Operator):
         if context.workspace is not None:
             context.workspace.status_text_set(None)
         redraw(context)
+        redraw(context, "UI")
 
 
 class FACEMIME_OT_next_doubtful_frame(OnTake, bpy.types.Operator):

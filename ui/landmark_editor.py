@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import bpy
-import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from ..blender.messages import interface as _
 from ..blender.viewports import FreeBox, free_box, viewport_drawn
 from ..core.face.landmarks import EDGES
 from ..core.takes.table_times import timecode
+from ..core.tracking.overlay import picture_for_gpu
 from ..sessions.landmark_edit import LandmarkEdit
 from .drawing import Picture, dot, draw_lines, draw_plate, draw_rectangle, draw_triangles
 
@@ -43,14 +42,9 @@ def _draw() -> None:
     if (image := edit.image) is not None:
         corners = edit.to_region(np.array([(-0.5, edit.size[1] - 0.5), (edit.size[0] - 0.5, -0.5)]))
         low, high = corners.tolist()
-        _picture.draw(edit.number, _rgba(image), (low[0], low[1]), (high[0] - low[0], high[1] - low[1]))
+        _picture.draw(edit.number, picture_for_gpu(image), (low[0], low[1]), (high[0] - low[0], high[1] - low[1]))
     _draw_landmarks(edit, scale)
     _draw_words(edit, box, scale)
-
-
-def _rgba(image: NDArray[np.uint8]) -> NDArray[np.float32]:
-    """Convert BGR (H, W, 3) to RGBA from the lowest row up, 0 to 1."""
-    return np.asarray(cv2.cvtColor(image[::-1], cv2.COLOR_BGR2RGBA), np.float32) / np.float32(255.0)
 
 
 def _draw_landmarks(edit: LandmarkEdit, scale: float) -> None:
@@ -76,8 +70,8 @@ def _draw_words(edit: LandmarkEdit, box: FreeBox, scale: float) -> None:
     lines = [_("{time}   frame {frame} of {count}").format(time=time, frame=editor.frame + 1, count=len(editor.take))]
     if not editor.found:
         lines.append(_("No face in this frame"))
-    elif (pins := len(editor.pins())) or edit.image is None:
-        lines.append(_("{count} pins in this frame").format(count=pins))
+    elif pins := len(editor.pins()):
+        lines.append(_("Pins in this frame: {count}").format(count=pins))
     if edit.image is None:
         lines.append(_("The video of this take was not found: only its landmarks are shown"))
     if edit.under is not None and editor.found:

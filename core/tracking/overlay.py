@@ -98,8 +98,12 @@ def draw_preview(image: Image | None, results: Sequence[TrackResult], width: int
         radius = round(np.clip(thin, *_RADII) * (1 << _SHIFT))
         for point, colour in zip(fixed.tolist(), colours.tolist(), strict=True):
             cv2.circle(canvas, point, radius, colour, -1, cv2.LINE_AA, _SHIFT)
-    rgba = cv2.cvtColor(canvas[::-1], cv2.COLOR_BGR2RGBA)
-    return np.asarray(_LINEAR[rgba], dtype=np.float32)
+    return picture_for_gpu(canvas)
+
+
+def picture_for_gpu(image: Image) -> NDArray[np.float32]:
+    """Convert an image to RGBA (H, W, 4), 0 to 1, linear light, bottom row first."""
+    return np.asarray(_LINEAR[cv2.cvtColor(image[::-1], cv2.COLOR_BGR2RGBA)], dtype=np.float32)
 
 
 def draw_label(image: Image, text: str) -> Image:
