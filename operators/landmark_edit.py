@@ -32,9 +32,7 @@ _ZOOMS = {"WHEELUPMOUSE": _ZOOM, "WHEELDOWNMOUSE": 1.0 / _ZOOM, "NUMPAD_PLUS": _
 
 
 class FACEMIME_OT_edit_landmarks(OnTake, bpy.types.Operator):
-    """Drag landmarks of the selected take to their places in its video. The frames before and after follow; what was
-    tracked is kept, so that landmarks can be released again
-    """
+    """Drag landmarks of the selected take to their places; frames nearby follow, and what was tracked is kept"""
 
     bl_idname = "facemime.edit_landmarks"
     bl_label = "Edit Landmarks"
@@ -210,9 +208,7 @@ class FACEMIME_OT_next_doubtful_frame(OnTake, bpy.types.Operator):
 
 
 class FACEMIME_OT_learn_from_pins(OnTake, bpy.types.Operator):
-    """Let the pins of the selected take correct similar frames as well: in this take, and in others and live for the
-    selected performer; click again to stop
-    """
+    """Let pins correct similar frames, too: in this take, in others, and live; click again to stop"""
 
     bl_idname = "facemime.learn_from_pins"
     bl_label = "Learn from Pins"
