@@ -94,7 +94,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     def _keep(self, context: bpy.types.Context, take: Take) -> str:
         """Add the take to the list; return its name, or "" if it cannot be written: it can be baked anyway."""
         try:
-            return takes_store.keep(context.scene, take, self._tracked.video.stem).name
+            return takes_store.keep(context.scene, take, self._tracked.video.stem, str(self._tracked.video)).name
         except FacemimeError as error:
             report(self, str(error), "WARNING")
             return ""

@@ -55,6 +55,7 @@ class LandmarkEdit:
         self.under: int | None = None
         self.number = 0
         self._offset = float(take.info.get("offset") or 0.0)
+        self._video = line.video
         self._finder = _finder(takes_store.video_of(scene, line))
         self._image: tuple[int, NDArray[np.uint8] | None] = (-1, None)
         self._landmarks: FloatArray | None = None
@@ -70,6 +71,11 @@ class LandmarkEdit:
             self._finder.close()
         if LandmarkEdit.current is self:
             LandmarkEdit.current = None
+
+    @property
+    def has_video(self) -> bool:
+        """Whether the video of the take was found."""
+        return self._finder is not None
 
     @property
     def image(self) -> NDArray[np.uint8] | None:
@@ -153,12 +159,27 @@ class LandmarkEdit:
 
     def follow_scene(self, scene: bpy.types.Scene) -> bool:
         """Go to the frame that the scene shows, if that has changed, and return whether it has."""
+        if self._finder is None:
+            self._find_video(scene)
         if scene.name != self.scene or scene.frame_current_final == self._at:
             return False
         self._at = scene.frame_current_final
         self.editor.go_to(float(self.editor.take.times[0]) + seconds_of(scene, take_start(scene)))
         self.changed()
         return True
+
+    def _find_video(self, scene: bpy.types.Scene) -> None:
+        """Open the video, if the user has meanwhile said where it is."""
+        line = self._line(scene)
+        if line is not None and line.video != self._video:
+            self._video = line.video
+            self._finder = _finder(takes_store.video_of(scene, line))
+            self._image = (-1, None)
+            redraw(bpy.context)
+
+    def _line(self, scene: bpy.types.Scene) -> FacemimeTake | None:
+        """Return the take in the list; None if it was removed."""
+        return next((line for line in scene.facemime_takes.items if line.path == self.path), None)
 
     def show_in_scene(self, scene: bpy.types.Scene) -> None:
         """Let the scene show the frame that is edited."""
@@ -168,8 +189,7 @@ class LandmarkEdit:
 
     def save(self, scene: bpy.types.Scene) -> None:
         """Write the pins to the file of the take, and let a preview of it show them; raises FacemimeError."""
-        line = next((line for line in scene.facemime_takes.items if line.path == self.path), None)
-        if line is None:
+        if (line := self._line(scene)) is None:
             raise SourceError("The take was removed from the list. Import it again.")
         write_pins(scene, line, self.editor.take)
 

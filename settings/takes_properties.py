@@ -32,6 +32,9 @@ class FacemimeTake(bpy.types.PropertyGroup):
     length: FloatProperty(name="Length", subtype="TIME_ABSOLUTE", min=0.0)
     star: BoolProperty(name="Favourite", description="Mark this take as a favourite")
     note: StringProperty(name="Note", description="Your note on this take")
+    video: StringProperty(
+        name="Video", description="The video that the take was tracked from, to edit its landmarks", subtype="FILE_PATH"
+    )
     pins: StringProperty(options={"HIDDEN"})
 
 

@@ -14,6 +14,7 @@ import bpy
 
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError, SourceError
+from ..core.files.assets import SAMPLE
 from ..core.files.reading import as_object, parse_json
 from ..core.takes.file import SUFFIX, append_pins, load_take, pins_content, save_take, take_of
 from ..core.takes.format import NewerFormatError
@@ -79,18 +80,20 @@ def _require_listable(path: Path) -> None:
         raise MisnamedError("The name of {name} is not valid UTF-8. Rename it and try again.", name=name) from error
 
 
-def keep(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
-    """Write `take` to a new file, named after `name`, and add it to the list."""
+def keep(scene: bpy.types.Scene, take: Take, name: str, video: str = "") -> FacemimeTake:
+    """Write `take`, which was tracked from `video`, to a new file named after `name`, and add it to the list."""
     path = new_path(name)
     save_take(take, path)
-    return add(scene, path, take)
+    line = add(scene, path, take)
+    line.video = video
+    return line
 
 
 def keep_beside(scene: bpy.types.Scene, take: Take, name: str) -> FacemimeTake:
     """Like `keep`, but add the take below the selected one."""
     takes = scene.facemime_takes
     place = min(takes.index + 1, len(takes.items))
-    keep(scene, take, name)
+    keep(scene, take, name, chosen(scene).video)
     takes.items.move(takes.index, place)
     takes.index = place
     return takes.items[place]
@@ -159,15 +162,17 @@ def with_pins_of(take: Take, text: str) -> Take:
 def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
     """Return the video that a take was tracked from, or None.
 
-    It is looked for in the folder of the take, and as the source of the scene.
+    It is where it was, in the folder of the take, the source of the scene, or the sample clip.
     """
+    if line.video and (path := Path(bpy.path.abspath(line.video))).is_file():
+        return path
     try:
         source = read(line).info.get("source")
     except SourceError:
         return None
     folders = (located(line.path).parent, default_folder(TAKES))
     chosen_one = Path(bpy.path.abspath(scene.facemime.source.video))
-    places = (*(folder / str(source) for folder in folders), chosen_one)
+    places = (*(folder / str(source) for folder in folders), chosen_one, SAMPLE)
     return next((path for path in places if path.name == source and path.is_file()), None)
 
 

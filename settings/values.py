@@ -18,7 +18,7 @@ from ..blender.timeline import keyed_frame
 from ..core.bake.bake_settings import AUTOMATIC, CURRENT_FRAME, BakeSettings
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.errors import Message, SourceError
-from ..core.files.assets import ASSETS
+from ..core.files.assets import SAMPLE
 from ..core.files.capture import is_address
 from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
 from ..core.puppet.puppet_settings import PuppetSettings
@@ -53,7 +53,6 @@ if TYPE_CHECKING:
 
 _DEFAULT_BAKE = BakeSettings()
 _FACES = {"LARGEST": None, "LEFT": LEFTMOST, "RIGHT": RIGHTMOST}
-SAMPLE = ASSETS / "sample" / "sample.mp4"
 
 
 def drive_settings(settings: FacemimeSettings) -> DriveSettings:

@@ -89,6 +89,9 @@ class FACEMIME_PT_takes(Sidebar, bpy.types.Panel):
         row = column.row(align=True)
         row.operator("facemime.edit_landmarks", icon="EMPTY_AXIS", depress=LandmarkEdit.current is not None)
         row.operator("facemime.next_doubtful_frame", text="", icon="VIEWZOOM")
+        edit = LandmarkEdit.current
+        if edit is not None and not edit.has_video and edit.path == take.path:
+            column.prop(take, "video")
         if takes_store.has_pins(take):
             column.operator("facemime.learn_from_pins", icon="LIGHT", depress=takes_store.learns(take))
         if session is not None:

