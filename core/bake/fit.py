@@ -15,8 +15,8 @@ from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_least_squares
 from ..numeric.linalg import multiply
 
-_ROWS = 4
-"""Number of frames processed at a time."""
+_WORST = 8
+"""Number of frames in which modes are added until those frames are within the tolerance."""
 _SPARE = 16
 """Mixtures of frames, beyond the number of modes, with which long motions are searched for modes."""
 _POWER_ITERATIONS = 2
@@ -90,13 +90,7 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
     modes = multiply((vectors[:, order] / np.sqrt(values[order])).T, spanned)
     weights = (vectors[:, order] * np.sqrt(values[order])).astype(np.float32)
     weights = weights if span is None else multiply(span, weights)
-    residual = flat.copy()
-    count = 0
-    worst = _subtract(residual, np.zeros(frames, np.float32), np.zeros(residual.shape[1], np.float32))
-    # Add modes until the worst vertex of the worst frame is within the tolerance.
-    while worst > tolerance and count < len(order):
-        worst = _subtract(residual, weights[:, count], modes[count])
-        count += 1
+    count, worst = _smallest(flat, weights, modes, tolerance)
     weights, modes = weights[:, :count], modes[:count]
     # Scale each mode so that its largest weight is 1, which suits the range of a slider.
     peak = weights[np.abs(weights).argmax(axis=0), np.arange(count)] if count else np.ones(0, dtype=np.float32)
@@ -121,18 +115,40 @@ def _span(flat: NDArray[np.float32], count: int) -> NDArray[np.float32] | None:
     return span
 
 
-def _subtract(residual: NDArray[np.float32], weights: NDArray[np.float32], mode: NDArray[np.float32]) -> float:
-    """Subtract a mode from `residual` (N, 3 V) in place, and return the largest remaining distance of a vertex.
+def _smallest(
+    flat: NDArray[np.float32], weights: NDArray[np.float32], modes: NDArray[np.float32], tolerance: float
+) -> tuple[int, float]:
+    """Return how many modes bring the worst vertex of the worst frame within the tolerance, or all, and its distance.
 
-    Works on a few frames at a time, so that no second array of this size is allocated.
+    Modes are added in the frames that were worst, and all frames are looked at only when those are within.
     """
-    worst = 0.0
-    for n in range(0, len(residual), _ROWS):
-        part = residual[n : n + _ROWS]
-        part -= np.outer(weights[n : n + _ROWS], mode)
-        points = part.reshape(len(part), -1, 3)
-        worst = max(worst, float(np.einsum("nvc,nvc->nv", points, points).max(initial=0.0)))
-    return float(np.sqrt(worst))
+    count, worst = 0, _worst(flat, weights[:, :0], modes[:0])
+    while worst.max(initial=0.0) > tolerance and count < len(modes):
+        rows = np.argsort(worst)[-_WORST:]
+        residual = flat[rows] - multiply(weights[rows, :count], modes[:count])
+        while count < len(modes):
+            residual -= np.outer(weights[rows, count], modes[count])
+            count += 1
+            if _farthest(residual).max() <= tolerance:
+                break
+        worst = _worst(flat, weights[:, :count], modes[:count])
+    return count, float(worst.max(initial=0.0))
+
+
+def _worst(flat: NDArray[np.float32], weights: NDArray[np.float32], modes: NDArray[np.float32]) -> FloatArray:
+    """Largest distance of a vertex from the motion in each frame, (N,).
+
+    Works on a few frames at a time, so that no second array of the size of the motion is allocated.
+    """
+    parts = [slice(n, n + _FRAMES_AT_ONCE) for n in range(0, len(flat), _FRAMES_AT_ONCE)]
+    found = [_farthest(flat[part] - multiply(weights[part], modes)) for part in parts]
+    return np.concatenate(found) if found else np.zeros(0)
+
+
+def _farthest(residual: NDArray[np.float32]) -> FloatArray:
+    """Largest distance of a vertex in each frame of a residual (N, 3 V), (N,)."""
+    points = residual.reshape(len(residual), -1, 3)
+    return np.asarray(np.sqrt(np.einsum("nvc,nvc->nv", points, points).max(axis=1, initial=0.0)))
 
 
 @dataclass(frozen=True)
