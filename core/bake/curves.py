@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
 from ..numeric.linalg import multiply
+from .segments import hermite, segments
 
 _SHARE = 0.6
 """Error of a single curve at first, as a share of that of all together. At .5 there are 2 to 4 % more keyframes; at .7
@@ -72,7 +72,7 @@ class BezierCurve:
         before = after - 1
         length = (self.rows[after] - self.rows[before]).astype(np.float64)
         s = (rows - self.rows[before]) / length
-        rise, start, end = _hermite(s)
+        rise, start, end = hermite(s)
         return np.asarray(
             self.values[before]
             + rise * (self.values[after] - self.values[before])
@@ -140,11 +140,13 @@ def fit_key_curves(
     allowed = np.tile(_SHARE * each, (len(values), 1))
     fit = _Fit(values, stops, lower, upper)
     fit.renew(allowed, np.ones(len(fit.spans), dtype=bool))
-    curves, errors = fit.curves(), np.empty_like(values)
-    new, measured = np.arange(values.shape[1]), few
+    curves, errors = fit.curves(), np.full_like(values, np.inf)
+    new, measured, distances = np.arange(values.shape[1]), few, np.zeros(len(values))
     for _ in range(_ROUNDS):
-        errors[:, new] = np.column_stack([curves[k].at(rows) for k in new]) - values[:, new]
-        distances = _distances(errors, measured)
+        renewed = np.column_stack([curves[k].at(rows) for k in new]) - values[:, new]
+        changed = (renewed != errors[:, new]).any(axis=1)
+        errors[:, new] = renewed
+        distances[changed] = _distances(errors[changed], measured)
         if distances.max(initial=0.0) <= tolerance and measured is not flat:
             measured = flat
             distances = _distances(errors, measured)
@@ -167,7 +169,8 @@ def _distances(weights: FloatArray, offsets: NDArray[np.float32]) -> FloatArray:
     flat, found = offsets.reshape(len(offsets), -1), np.empty(len(weights))
     for n in range(0, len(weights), _AT_ONCE):
         moved = multiply(weights[n : n + _AT_ONCE].astype(np.float32), flat)
-        found[n : n + _AT_ONCE] = np.square(moved.reshape(len(moved), -1, 3)).sum(axis=2).max(axis=1, initial=0.0)
+        points = moved.reshape(len(moved), -1, 3)
+        found[n : n + _AT_ONCE] = np.einsum("nvc,nvc->nv", points, points).max(axis=1, initial=0.0)
     return np.sqrt(found)
 
 
@@ -210,53 +213,6 @@ def stops_of(values: FloatArray, prominence: float) -> NDArray[np.intp]:
         flat = np.abs(values[turn:] - values[turn]) > _FLAT
         found.add(turn + (int(flat.argmax()) if flat.any() else len(flat)) - 1)
     return np.array(sorted(found), dtype=np.intp)
-
-
-def _hermite(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Hermite's cubics at shares `s` of a segment: of the rise, and of the slopes at its start and end."""
-    return (3.0 - 2.0 * s) * s**2, s * (1.0 - s) ** 2, -(s**2) * (1.0 - s)
-
-
-class _Segments(NamedTuple):
-    """Least squares for segments of 1 to L frames with given ends, (L, L + 1) each: row `l - 1` is a segment of l
-    frames, column i its frame i; 0 beyond its inner frames.
-
-    Attributes
-    ----------
-    inner : bool
-        Whether it is an inner frame.
-    rise, start, end : float64
-        Hermite's cubics there.
-    first : float64
-        Factors of the inner frames whose sum is the slope at the start.
-    last : float64
-        The same for that at the end, if that at the start is given.
-    """
-
-    inner: NDArray[np.bool_]
-    rise: FloatArray
-    start: FloatArray
-    end: FloatArray
-    first: FloatArray
-    last: FloatArray
-
-
-@cache
-def _segments(longest: int) -> _Segments:
-    lengths, frames = np.arange(1, longest + 1)[:, None], np.arange(longest + 1)[None, :]
-    inner = (frames > 0) & (frames < lengths)
-    rise, start, end = (np.where(inner, part, 0.0) for part in _hermite(frames / lengths))
-    start, end = start * lengths, end * lengths
-    # Normal equations of the two slopes; a single inner frame determines their difference alone, and the shortest
-    # solution is taken.
-    aa, ab, bb = (start**2).sum(axis=1), (start * end).sum(axis=1), (end**2).sum(axis=1)
-    determinant = aa * bb - ab**2
-    single = lengths[:, 0] == 2
-    determinant[single | (determinant <= 0.0)] = np.inf
-    first = (bb[:, None] * start - ab[:, None] * end) / determinant[:, None]
-    first[single] = start[single] / (aa + bb)[single, None]
-    last = np.divide(end, bb[:, None], out=np.zeros_like(end), where=bb[:, None] > 0.0)
-    return _Segments(inner, rise, start, end, first, last)
 
 
 class _Fit:
@@ -341,7 +297,7 @@ class _Fit:
         """Find the longest segments of at most `longest` frames."""
         curve, at, stop, before = starts
         reach = stop - at
-        table = _segments(min(longest, int(reach.max())))
+        table = segments(min(longest, int(reach.max())))
         columns = np.minimum(at[:, None] + np.arange(table.rise.shape[1]), self._values.shape[1] - 1)
         values, limits = self._values[curve[:, None], columns], allowed[curve[:, None], columns]
         low, high = self._low[curve, None], self._high[curve, None]

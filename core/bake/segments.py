@@ -1,0 +1,59 @@
+"""Segments of Bezier curves: the cubics of Hermite, and least squares for the slopes at their ends."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numeric.arrays import FloatArray
+
+
+def hermite(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Hermite's cubics at shares `s` of a segment: of the rise, and of the slopes at its start and end."""
+    return (3.0 - 2.0 * s) * s**2, s * (1.0 - s) ** 2, -(s**2) * (1.0 - s)
+
+
+class Segments(NamedTuple):
+    """Least squares for segments of 1 to L frames with given ends, (L, L + 1) each: row `l - 1` is a segment of l
+    frames, column i its frame i; 0 beyond its inner frames.
+
+    Attributes
+    ----------
+    inner : bool
+        Whether it is an inner frame.
+    rise, start, end : float64
+        Hermite's cubics there.
+    first : float64
+        Factors of the inner frames whose sum is the slope at the start.
+    last : float64
+        The same for that at the end, if that at the start is given.
+    """
+
+    inner: NDArray[np.bool_]
+    rise: FloatArray
+    start: FloatArray
+    end: FloatArray
+    first: FloatArray
+    last: FloatArray
+
+
+@cache
+def segments(longest: int) -> Segments:
+    """Return the least squares for segments of up to `longest` frames."""
+    lengths, frames = np.arange(1, longest + 1)[:, None], np.arange(longest + 1)[None, :]
+    inner = (frames > 0) & (frames < lengths)
+    rise, start, end = (np.where(inner, part, 0.0) for part in hermite(frames / lengths))
+    start, end = start * lengths, end * lengths
+    # Normal equations of the two slopes; a single inner frame determines their difference alone, and the shortest
+    # solution is taken.
+    aa, ab, bb = (start**2).sum(axis=1), (start * end).sum(axis=1), (end**2).sum(axis=1)
+    determinant = aa * bb - ab**2
+    single = lengths[:, 0] == 2
+    determinant[single | (determinant <= 0.0)] = np.inf
+    first = (bb[:, None] * start - ab[:, None] * end) / determinant[:, None]
+    first[single] = start[single] / (aa + bb)[single, None]
+    last = np.divide(end, bb[:, None], out=np.zeros_like(end), where=bb[:, None] > 0.0)
+    return Segments(inner, rise, start, end, first, last)
