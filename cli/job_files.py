@@ -23,10 +23,13 @@ from .stopping import INTERRUPTED, STOPPING
 INTERRUPTED_NAME = ".interrupted"
 
 
-def load_with_warnings(path: Path) -> Take:
-    """Load a take; what is missing is reported on the standard error. Raises SourceError if it cannot be read."""
+def load_with_warnings(path: Path, *, solved: bool = True) -> Take:
+    """Load a take, as `load_take`; what is missing is reported on the standard error.
+
+    Raises SourceError if it cannot be read.
+    """
     check_readable(path)
-    take = load_take(path)
+    take = load_take(path, solved=solved)
     _tell_what_is_missing(path, take)
     return take
 

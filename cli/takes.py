@@ -4,25 +4,29 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..core.bake.arkit import arkit_coefficients
 from ..core.drive.retarget import anonymise
-from ..core.errors import FacemimeError
+from ..core.errors import FacemimeError, SourceError
 from ..core.files.capture import check_readable, write_image
 from ..core.files.setting import settings_of
 from ..core.heads.built_in import LOOKS, eyes_of_gaze, gaze_of
 from ..core.puppet.job import HeadFile
 from ..core.streams.sender import eyes_from, turned_from
 from ..core.takes.coefficient_table import write_coefficient_csv
+from ..core.takes.correction import learn, solve_pins
 from ..core.takes.face_models import FPS, is_moving_face, read_moving_face
 from ..core.takes.file import SUFFIX, save_take
+from ..core.takes.learnt import corrected
 from ..core.takes.mending import draw_before_after, mend
 from ..core.takes.mending_settings import BLEND, Mending
 from ..core.takes.neutral import calibrate
 from ..core.takes.openface import write_openface_csv
+from ..core.takes.pins import LEARN, Pin, pins_of, read_pins, with_pins, write_pins
 from ..core.takes.recordings import SUFFIXES as RECORDINGS
 from ..core.takes.recordings import read_recording
 from ..core.takes.smooth import CUTOFFS
@@ -49,6 +53,19 @@ def add_commands(commands: Commands) -> None:
     )
     mend.add_argument("take", type=Path, metavar="TAKE.facetake", help="the take, which is not changed")
     add_output(mend, "OUT.facetake", "the mended take")
+    mend.add_argument(
+        "--pins",
+        type=Path,
+        metavar="PINS.csv|OTHER.facetake",
+        help="add pins: landmarks put in their places, from a table or another take; takes.md lists the columns",
+    )
+    mend.add_argument("--learn", action="store_true", help="also correct frames that look like those with pins")
+    mend.add_argument(
+        "--learn-from",
+        type=Path,
+        metavar="OTHER.facetake",
+        help="correct frames that look like those with pins in another take of this performer",
+    )
     mend.add_argument("--punch-in", type=Path, metavar="OTHER.facetake", help="insert a part of another take")
     mend.add_argument("--at", type=parse_span, metavar="A:B", help="span to insert, in seconds (the whole other take)")
     mend.add_argument(
@@ -97,10 +114,10 @@ def add_commands(commands: Commands) -> None:
     add_output(export, "OUT.csv", "a table with one row per frame; takes.md lists the columns")
     export.add_argument(
         "--columns",
-        choices=("all", "coefficients", "livelink", "openface"),
+        choices=("all", "coefficients", "livelink", "openface", "pins"),
         default="all",
-        help="all data of the take; ARKit's coefficients by name; these in the format of Live Link Face; or OpenFace's "
-        "action units (all)",
+        help="all data of the take; ARKit's coefficients by name; these in the format of Live Link Face; OpenFace's "
+        "action units; or the pins (all)",
     )
     export.add_argument(
         "--rate", type=number, default=60.0, metavar="FPS", help="rate of Live Link Face's timecode (60)"
@@ -144,15 +161,45 @@ def _run_mend(given: Options) -> int:
     """Run `facemime mend`: mend a take; returns the exit status."""
     outputs = ((given["output"], {SUFFIX}), (given["figure"], {".png", ".jpg"}))
     inputs = {"the take that is mended": given["take"], "the take that is inserted": given["punch_in"]}
+    inputs |= {"the pins": given["pins"], "the take that is learnt from": given["learn_from"]}
     with outputs_of(outputs, inputs):
-        take = load_with_warnings(given["take"])
-        mended = _mended(take, given)
+        take = load_with_warnings(given["take"], solved=False)
+        mended = _mended(_pinned(take, given), given)
         save_take(mended, given["output"])
         if given["figure"] is not None:
-            write_image(given["figure"], draw_before_after(take, mended))
+            write_image(given["figure"], draw_before_after(solve_pins(take), solve_pins(mended)))
     lost = len(mended) - int(mended.found.sum())
     tell(f"{len(mended)} frames, {lost} without a face ({len(take) - int(take.found.sum())} before)")
     return 0
+
+
+def _pinned(take: Take, given: Options) -> Take:
+    """Return a take with what pins of others add to it; its own stay removable."""
+    if given["learn_from"] is not None:
+        learnt = learn(load_with_warnings(given["learn_from"], solved=False))
+        if not learnt:
+            raise SourceError(
+                "The pins of {path} tell nothing about other frames, as those of one frame do not predict those of "
+                "another. Pin the same part of the face in more frames, or leave out --learn-from.",
+                path=given["learn_from"],
+            )
+        take = corrected(take, learnt)
+    if given["pins"] is not None:
+        take = with_pins(take, [*pins_of(take), *_pins_in(given["pins"])])
+    if given["learn"]:
+        if not pins_of(take):
+            raise FacemimeError("--learn needs pins, and the take has none. Add --pins.")
+        take = replace(take, info={**take.info, LEARN: True})
+    return take
+
+
+def _pins_in(path: Path) -> tuple[Pin, ...]:
+    """Return the pins of a table or a take; SourceError if there are none."""
+    is_take = path.suffix.lower() == SUFFIX
+    pins = pins_of(load_with_warnings(path, solved=False)) if is_take else read_pins(path)
+    if not pins:
+        raise SourceError("There are no pins in {path}. Choose another file.", path=path)
+    return pins
 
 
 def _mended(take: Take, given: Options) -> Take:
@@ -161,7 +208,7 @@ def _mended(take: Take, given: Options) -> Take:
     if given["cutoffs"] and given["smoothing"] != "zero-phase":
         raise FacemimeError("--cutoff is for smoothing without delay. Add --smooth zero-phase.")
     if given["punch_in"] is not None:
-        insert = load_with_warnings(given["punch_in"])
+        insert = load_with_warnings(given["punch_in"], solved=False)
         start, end = _EVERYTHING if given["at"] is None else given["at"]
         start = start if math.isfinite(start) else float(insert.times[0])
         end = end if math.isfinite(end) else float(insert.times[-1])
@@ -182,6 +229,8 @@ def _run_export(given: Options) -> int:
         take = load_with_warnings(given["take"])
         if given["columns"] == "all":
             to_csv(take, given["output"])
+        elif given["columns"] == "pins":
+            write_pins(pins_of(take), given["output"])
         else:
             _export_coefficients(take, given["output"], given["columns"], given["rate"])
     return 0

@@ -95,6 +95,16 @@ def solve_definite(matrix: FloatArray, right: FloatArray) -> FloatArray:
     return cast(FloatArray, solution)
 
 
+def inverse_definite(matrix: FloatArray) -> FloatArray:
+    """Invert a symmetric positive definite matrix; raises LinAlgError if it is none."""
+    lapack = _scipy().lapack
+    factor, fault = lapack.dpotrf(matrix.T)
+    half, also = lapack.dpotri(factor)
+    if fault or also:
+        raise np.linalg.LinAlgError("The matrix is not definite.")
+    return cast(FloatArray, half + np.triu(half, 1).T)
+
+
 def inverses_of_three(matrices: NDArray[Any]) -> NDArray[Any]:
     """Invert a stack of matrices (..., 3, 3) by their cofactors; scipy takes one matrix at a time."""
     a, b, c = np.moveaxis(matrices, -2, 0)

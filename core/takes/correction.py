@@ -27,7 +27,7 @@ from ..face.rotation import euler_to_matrix
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 from .face_space import load_face_space
-from .learnt import PARTS, Learnt, Looks
+from .learnt import PARTS, Faces, Learnt, Likeness, Looks
 from .pins import LEARN, PINS, frames_of_pins, learns_from_pins, pins_of
 from .take import Take
 from .timing import project
@@ -55,43 +55,73 @@ _STILL = 0.005
 """Motion of a part below which none is assumed, in eye distances."""
 _LEARNT = 0.9
 """Share of the variance of the errors that recurs in alike frames."""
-_HELPS = 0.7
-"""Share of the squared residuals of pins, predicted by the others, above which nothing is learnt."""
-_FOLDS = 12
-"""Largest number of groups into which pins are divided to predict each other."""
+_HELPS = 0.5
+"""Share of the squared residuals of pins, predicted by those of other frames, above which nothing is learnt."""
+_FARTHEST = 3.0
+"""Distance from the tracked landmark, in eye distances, above which a pin is on something else, and ignored."""
+_ROWS = 4096
+"""Frames that are corrected at once."""
 
 
 @dataclass(frozen=True)
 class _Pins:
-    """Pins of one part, (P,): frames, landmarks, their axes in the image (P, 2, 3), residuals (P, 2)."""
+    """Pins of one part in F frames.
+
+    `frames` (F,); of P pins the place of their frame (P,), their landmarks (P,), and in the image their covariance with
+    the part (2 P, 3 n), with each other (2 P, 2 P), and their residuals (2 P,).
+    """
 
     part: int
     frames: IntArray
+    places: IntArray
     landmarks: IntArray
-    axes: FloatArray
+    across: FloatArray
+    seen: FloatArray
     residuals: FloatArray
 
-    def chosen(self, which: IntArray) -> _Pins:
-        """Return some of them."""
-        return _Pins(self.part, self.frames[which], self.landmarks[which], self.axes[which], self.residuals[which])
+    @classmethod
+    def of(cls, part: int, rows: IntArray, landmarks: IntArray, axes: FloatArray, away: FloatArray) -> _Pins:
+        """Describe pins, (P,): frames, landmarks, the axes of the image (P, 2, 3), residuals (P, 2)."""
+        frames, places = np.unique(rows, return_inverse=True)
+        size, own = 3 * len(PARTS[part]), landmarks - PARTS[part][0]
+        design = np.zeros((len(rows), 2, len(PARTS[part]), 3))
+        design[np.arange(len(rows)), :, own] = axes
+        design = design.reshape(-1, size)
+        across = linalg.multiply(design, covariance()[PARTS[part]][:, :, PARTS[part]].reshape(size, size))
+        return cls(part, frames, places, landmarks, across, linalg.multiply(across, design.T), away.reshape(-1))
+
+    def matrix(self, kernel: FloatArray) -> FloatArray:
+        """Covariance of the residuals, (2 P, 2 P), for the kernel over frames (F, F)."""
+        places = np.repeat(self.places, 2)
+        matrix = kernel[np.ix_(places, places)] * self.seen
+        matrix[np.diag_indices(len(matrix))] += _PIN**2
+        return np.asarray(matrix)
 
     def moved(self, kernel: FloatArray) -> FloatArray:
-        """Solve for what each pin adds to the landmarks of its part, (P, n, 3), for the kernel over frames (P, P)."""
-        cov, count = covariance(), len(self.frames)
-        across = cov[self.landmarks][:, :, self.landmarks]
-        seen = np.einsum("pai,piqj,qbj->paqb", self.axes, across, self.axes, optimize=True)
-        matrix = (kernel[:, None, :, None] * seen).reshape(2 * count, 2 * count)
-        matrix[np.diag_indices(2 * count)] += _PIN**2
-        weights = linalg.solve_definite(matrix, self.residuals.reshape(-1)).reshape(count, 2)
-        pulled = np.einsum("pa,paj->pj", weights, self.axes)
-        return np.asarray(np.einsum("nipj,pj->pni", cov[PARTS[self.part]][:, :, self.landmarks], pulled))
+        """Solve for what each frame adds to the landmarks of the part, (F, n, 3), for the kernel over frames (F, F)."""
+        weights = linalg.solve_definite(self.matrix(kernel), self.residuals)
+        moved = np.zeros((len(self.frames), self.across.shape[1]))
+        np.add.at(moved, np.repeat(self.places, 2), weights[:, None] * self.across)
+        return moved.reshape(len(moved), -1, 3)
+
+    def wrong(self, kernel: FloatArray) -> float:
+        """Sum of squares that remains of the residuals of each frame if the other frames predict them.
+
+        From the inverse of the covariance (Rasmussen & Williams 2006, section 5.4.2).
+        """
+        inverse = linalg.inverse_definite(self.matrix(kernel))
+        weights, places, wrong = linalg.multiply(inverse, self.residuals), np.repeat(self.places, 2), 0.0
+        for place in range(len(self.frames)):
+            mine = np.flatnonzero(places == place)
+            wrong += float(np.square(linalg.solve_definite(inverse[np.ix_(mine, mine)], weights[mine])).sum())
+        return wrong
 
 
 @dataclass(frozen=True)
 class _Slit:
-    """Lids or lips that face each other: landmarks (n,), and their gaps.
+    """Lids or lips that face each other: landmarks (n,), their gaps, and when they are nearly shut.
 
-    `most` is the opening that is nearly shut, as a share of the usual one or, if `absolute`, in eye distances.
+    That is an opening below `most`, a share of the usual one, or below `least`, in eye distances.
     """
 
     upper: IntArray
@@ -99,21 +129,21 @@ class _Slit:
     measure: Callable[[FloatArray], FloatArray]
     columns: slice
     most: float
-    absolute: bool = False
+    least: float
 
     def gaps(self, shapes: FloatArray) -> FloatArray:
         """Gaps of shapes (N, 66, 3), (N, n)."""
         return np.asarray(self.measure(shapes)[:, self.columns])
 
-    def most_of(self, gaps: FloatArray) -> float:
+    def nearly_shut(self, gaps: FloatArray) -> float:
         """Mean gap below which pins mean shut, for the usual gaps (N, n)."""
-        return self.most if self.absolute else self.most * float(np.median(gaps.mean(axis=1)))
+        return max(self.most * float(np.median(gaps.mean(axis=1))), self.least)
 
 
 _SLITS = (
-    _Slit(UPPER_LIDS[:2], LOWER_LIDS[:2], lid_gaps, slice(0, 2), 0.2),
-    _Slit(UPPER_LIDS[2:], LOWER_LIDS[2:], lid_gaps, slice(2, 4), 0.2),
-    _Slit(UPPER_LIPS, LOWER_LIPS, lip_gaps, slice(0, 3), 0.015, absolute=True),
+    _Slit(UPPER_LIDS[:2], LOWER_LIDS[:2], lid_gaps, slice(0, 2), 0.2, 0.01),
+    _Slit(UPPER_LIDS[2:], LOWER_LIDS[2:], lid_gaps, slice(2, 4), 0.2, 0.01),
+    _Slit(UPPER_LIPS, LOWER_LIPS, lip_gaps, slice(0, 3), 0.0, 0.015),
 )
 
 
@@ -161,8 +191,9 @@ class _Solution:
         self._found = np.flatnonzero(take.found)
         self._shapes = take.shape[self._found].astype(np.float64)
         self._poses = take.pose[self._found]
-        self._times = take.times[self._found]
-        self.parts = [_Part(pins, self._times, self._shapes, self._poses) for pins in self._pins()]
+        faces = Faces.of(self._shapes, self._poses, take.landmark_confidence[self._found])
+        times = take.times[self._found]
+        self.parts = [_Part(pins, times, faces) for pins in self._pins()]
 
     def take(self) -> Take:
         """Return the solved take."""
@@ -172,12 +203,10 @@ class _Solution:
         for part in self.parts:
             part.correct(shapes, learns=learns)
         moved = np.flatnonzero((shapes != self._shapes).any(axis=(1, 2)))
-        frames = self._found[moved]
+        frames, poses = self._found[moved], self._poses[moved]
         shape[frames] = shapes[moved]
         # What was seen beside the shape model, such as lips held behind a hand, keeps its distance.
-        landmarks[frames] += project(shapes[moved], self._poses[moved]) - project(
-            self._shapes[moved], self._poses[moved]
-        )
+        landmarks[frames] += project(shapes[moved] - self._shapes[moved], poses) - poses[:, None, 4:6]
         return replace(self._take, shape=shape, landmarks=landmarks)
 
     def _pins(self) -> Iterator[_Pins]:
@@ -187,92 +216,90 @@ class _Solution:
         axes = np.array([euler_to_matrix(*angles)[:2] for angles in self._poses[rows, 1:4]])
         tracked = self._take.landmarks[self._found[rows], landmarks].astype(np.float64)
         away = (np.array([(pin.x, pin.y) for pin in pins]) - tracked) / self._poses[rows, :1]
+        seen &= np.abs(away).max(axis=1) < _FARTHEST
         for number, part in enumerate(PARTS):
             mine = np.flatnonzero(seen & np.isin(landmarks, part))
             if len(mine):
-                yield _Pins(number, rows[mine], landmarks[mine], axes[mine], away[mine])
+                yield _Pins.of(number, rows[mine], landmarks[mine], axes[mine], away[mine])
 
 
 class _Part:
     """The solution of one part."""
 
-    def __init__(self, pins: _Pins, times: FloatArray, shapes: FloatArray, poses: FloatArray) -> None:
-        self._pins, self._times = pins, times
-        self._looks = Looks.of(shapes, poses, PARTS[pins.part])
-        self._motion = max(float(np.sqrt(self._looks.landmarks.var(axis=0).sum())), _STILL)
-        self._lasting = self._near(np.arange(len(times)), pins.frames)
+    def __init__(self, pins: _Pins, times: FloatArray, faces: Faces) -> None:
+        self._pins, self._times, self._faces = pins, times, faces
+        everywhere = faces.looks(pins.part, np.arange(len(times)), 1.0).values[:, :-2]
+        motion = np.sqrt(everywhere.var(axis=0).sum() / len(PARTS[pins.part]))
+        self._motion = max(float(motion), _STILL)
+        self._usual = self._likeness(_LOOK)
         self.learnt = self._learn()
 
-    def _near(self, frames: IntArray, pinned: IntArray) -> FloatArray:
-        """Share of a correction in frames `pinned` (P,) that frames (N,) near in time keep, (N, P)."""
-        apart = (self._times[frames, None] - self._times[pinned]) / _TIME
-        return np.asarray(np.exp(-0.5 * np.square(apart)) * self._alike(frames, pinned, _LOOK * self._motion))
+    def _likeness(self, look: float) -> Likeness:
+        """Likeness of frames to those with pins."""
+        return Likeness([self._looks(look)])
 
-    def _alike(self, frames: IntArray, pinned: IntArray, look: float) -> FloatArray:
-        return self._looks.part(frames).likeness(self._looks.part(pinned), look)
+    def _looks(self, look: float) -> Looks:
+        return self._faces.looks(self._pins.part, self._pins.frames, look * self._motion)
 
-    def _kernel(self, frames: IntArray, pinned: IntArray, look: float) -> FloatArray:
-        """Share of a correction in frames `pinned` (P,) that frames (N,) which are near or alike have, (N, P)."""
-        return np.asarray(_LEARNT * self._alike(frames, pinned, look) + (1.0 - _LEARNT) * self._near(frames, pinned))
+    def _near(self, frames: IntArray | slice) -> FloatArray:
+        """Share of the corrections that frames (N,) near in time keep, (N, F)."""
+        apart = (self._times[frames, None] - self._times[self._pins.frames]) / _TIME
+        return np.asarray(np.exp(-0.5 * np.square(apart)) * self._usual.of(self._faces.chosen(frames)))
+
+    def _kernel(self, frames: IntArray | slice, likeness: Likeness | None) -> FloatArray:
+        """Share of the corrections that frames (N,) have which are near or, with a likeness, alike, (N, F)."""
+        near = self._near(frames)
+        if likeness is None:
+            return near
+        return np.asarray(_LEARNT * likeness.of(self._faces.chosen(frames)) + (1.0 - _LEARNT) * near)
 
     def correct(self, shapes: FloatArray, *, learns: bool) -> None:
         """Correct shapes (N, 66, 3) in place."""
-        pins, part = self._pins, PARTS[self._pins.part]
-        near = self._lasting
-        if learns and self.learnt is not None:
-            near = self._kernel(np.arange(len(self._times)), pins.frames, self.learnt.look)
-        tracked = shapes.copy()
-        shapes[:, part] += np.tensordot(near, pins.moved(near[pins.frames]), 1)
-        self._close(shapes, tracked)
+        likeness = Likeness([self.learnt.looks]) if learns and self.learnt is not None else None
+        moved, tracked = self._pins.moved(self._kernel(self._pins.frames, likeness)), shapes.copy()
+        for rows in self._rows():
+            shapes[rows, PARTS[self._pins.part]] += np.tensordot(self._kernel(rows, likeness), moved, 1)
+        for slit in _SLITS:
+            if slit.upper[0] in PARTS[self._pins.part]:
+                self._close(slit, shapes, tracked)
 
-    def _close(self, shapes: FloatArray, tracked: FloatArray) -> None:
-        """Close the lids or lips that pins have all but closed, for as long as the correction lasts.
+    def _rows(self) -> Iterator[slice]:
+        """Divide the frames, so that an hour with a thousand frames with pins needs little memory."""
+        return (slice(start, start + _ROWS) for start in range(0, len(self._times), _ROWS))
+
+    def _close(self, slit: _Slit, shapes: FloatArray, tracked: FloatArray) -> None:
+        """Close lids or lips that pins have all but closed, for as long as the correction lasts.
 
         A lid that is dragged to the other one shuts the eye, even if it has taken that one along.
         """
-        pins = self._pins
-        for slit in _SLITS:
-            upper, lower = (np.isin(pins.landmarks, side) for side in (slit.upper, slit.lower))
-            dragged = tracked.copy()
-            for side, pinned in ((slit.upper, upper), (slit.lower, lower)):
-                if pinned.any():
-                    dragged[:, side] = shapes[:, side]
-            gaps, most = slit.gaps(shapes), slit.most_of(slit.gaps(tracked))
-            least = np.minimum(gaps.mean(axis=1), slit.gaps(dragged).mean(axis=1))
-            shut = (upper | lower) & (least[pins.frames] < most)
-            if shut.any():
-                closing = self._lasting[:, shut].max(axis=1)[:, None] * gaps
-                share = float(lower[shut].sum() / shut.sum())  # what is pinned stays
-                shapes[:, slit.upper, 1] += share * closing
-                shapes[:, slit.lower, 1] -= (1.0 - share) * closing
+        pins, gaps = self._pins, slit.gaps(shapes)
+        upper, lower = (np.isin(pins.landmarks, side) for side in (slit.upper, slit.lower))
+        dragged = tracked[pins.frames]
+        for side, pinned in ((slit.upper, upper), (slit.lower, lower)):
+            mine = np.unique(pins.places[pinned])
+            dragged[mine[:, None], side] = shapes[pins.frames[mine][:, None], side]
+        least = np.minimum(gaps[pins.frames].mean(axis=1), slit.gaps(dragged).mean(axis=1))[pins.places]
+        shut = (upper | lower) & (least < slit.nearly_shut(slit.gaps(tracked)))
+        if not shut.any():
+            return
+        share = float(lower[shut].sum() / shut.sum())  # what is pinned stays
+        for rows in self._rows():
+            closing = self._near(rows)[:, np.unique(pins.places[shut])].max(axis=1)[:, None] * gaps[rows]
+            shapes[rows, slit.upper, 1] += share * closing
+            shapes[rows, slit.lower, 1] -= (1.0 - share) * closing
 
     def _learn(self) -> Learnt | None:
         """Return what the pins of this part tell about alike frames; None if they do not predict each other."""
         pins = self._pins
-        frames = np.unique(pins.frames)
-        folds = np.searchsorted(frames, pins.frames) % _FOLDS
-        if len(frames) < 2:
+        if len(pins.frames) < 2:
             return None
-        looks = [share * self._motion for share in _LIKENESS]
-        wrong = [self._wrong(folds, look) for look in looks]
-        look = looks[int(np.argmin(wrong))]
+        wrong = [pins.wrong(self._recurring(look)) for look in _LIKENESS]
         if min(wrong) > _HELPS * float(np.square(pins.residuals).sum()):
             return None
-        moved = _LEARNT * pins.moved(self._kernel(pins.frames, pins.frames, look))
-        at = [moved[pins.frames == frame].sum(axis=0) for frame in frames]
-        return Learnt(pins.part, self._looks.part(frames), look, np.array(at))
+        look = _LIKENESS[int(np.argmin(wrong))]
+        return Learnt(self._looks(look), _LEARNT * pins.moved(self._kernel(pins.frames, self._likeness(look))))
 
-    def _places(self, landmarks: IntArray) -> IntArray:
-        """Positions of `landmarks` (P,) in the part."""
-        return np.array([np.flatnonzero(PARTS[self._pins.part] == landmark)[0] for landmark in landmarks])
-
-    def _wrong(self, folds: IntArray, look: float) -> float:
-        """Sum of squares that remains of the residuals of pins if others predict them."""
-        pins, wrong = self._pins, 0.0
-        for fold in np.unique(folds):
-            kept, left = pins.chosen(np.flatnonzero(folds != fold)), pins.chosen(np.flatnonzero(folds == fold))
-            moved = kept.moved(self._kernel(kept.frames, kept.frames, look))
-            alike = _LEARNT * self._alike(left.frames, kept.frames, look)
-            told = np.einsum("lp,plj->lj", alike, moved[:, self._places(left.landmarks)])
-            wrong += float(np.square(np.einsum("laj,lj->la", left.axes, told) - left.residuals).sum())
-        return wrong
+    def _recurring(self, look: float) -> FloatArray:
+        """Kernel over the frames with pins, (F, F), in which only alike frames tell of each other."""
+        like = self._likeness(look).of(self._faces.chosen(self._pins.frames))
+        return np.asarray(_LEARNT * like + (1.0 - _LEARNT) * np.eye(len(like)))

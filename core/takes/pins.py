@@ -7,8 +7,9 @@ them whenever it is read.
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from ..errors import DataError, SourceError
 from ..face.landmarks import IBUG68_INDICES, MIRROR, N_LANDMARKS, from_ibug
 from ..files.capture import check_readable
 from ..files.reading import shown
+from ..files.writing import replacing
 from ..numeric.arrays import FloatArray, IntArray
 from .table_text import read_table
 from .take import Take
@@ -33,6 +35,8 @@ COLUMNS = ("time", "landmark", "x", "y")
 """Columns of a table of pins: seconds, iBUG-68 number, pixels."""
 _SAME = 1e-6
 """Difference in seconds between times that are the same."""
+_LARGEST = 1e9
+"""Number that no time in seconds and no position in pixels exceeds."""
 
 
 @dataclass(frozen=True)
@@ -46,16 +50,16 @@ class Pin:
 
 
 def pins_of(take: Take) -> tuple[Pin, ...]:
-    """Return the pins of a take; invalid ones, as a damaged file may have, are left out."""
+    """Return the pins of a take; invalid ones, and too many, as a damaged file may have, are left out."""
     listed = take.info.get(PINS, [])
-    return tuple(_valid(listed)) if isinstance(listed, list) else ()
+    return tuple(islice(_valid(listed), MAX_PINS)) if isinstance(listed, list) else ()
 
 
 def _valid(listed: Iterable[Any]) -> Iterator[Pin]:
     for row in listed:
-        if isinstance(row, Sequence) and len(row) == 4 and all(isinstance(value, int | float) for value in row):
+        if isinstance(row, list | tuple) and len(row) == 4 and all(type(value) in (int, float) for value in row):
             time, landmark, x, y = row
-            if landmark in range(N_LANDMARKS) and np.isfinite([time, x, y]).all():
+            if landmark in range(N_LANDMARKS) and all(abs(value) < _LARGEST for value in (time, x, y)):
                 yield Pin(float(time), int(landmark), float(x), float(y))
 
 
@@ -86,7 +90,9 @@ def frames_of_pins(take: Take, times: FloatArray) -> tuple[IntArray, NDArray[np.
     """Return which of the frames with a face is nearest to each time, (P,), and whether it is shown at that time."""
     seen = take.times[take.found]
     step = float(np.median(np.diff(take.times))) if len(take) > 1 else np.inf
-    rows = np.abs(seen - times[:, None]).argmin(axis=1)
+    after = np.searchsorted(seen, times).clip(0, len(seen) - 1)
+    before = np.maximum(after - 1, 0)
+    rows = np.where(times - seen[before] <= seen[after] - times, before, after)
     return rows, np.abs(seen[rows] - times) <= 0.5 * step + _SAME
 
 
@@ -130,12 +136,18 @@ def _pin(cells: list[str]) -> Pin:
         time, number, x, y = (float(cell) for cell in cells)
     except ValueError as error:
         raise DataError("{text} is not a pin", text=shown(", ".join(cells))) from error
-    if not np.isfinite([time, x, y]).all():
+    if not all(abs(value) < _LARGEST for value in (time, x, y)):
         raise DataError("{text} is not a pin", text=shown(", ".join(cells)))
     return Pin(time, int(from_ibug([int(number)])[0]), x, y)
 
 
 def pin_table(pins: Iterable[Pin]) -> str:
-    """Return the text of a table that `read_pins` reads."""
+    """Return the text of a table that `read_pins` reads back exactly."""
     rows = [f"{pin.time!r},{IBUG68_INDICES[pin.landmark]},{pin.x!r},{pin.y!r}" for pin in pins]
     return "\n".join([",".join(COLUMNS), *rows, ""])
+
+
+def write_pins(pins: Iterable[Pin], path: Path) -> None:
+    """Write pins as a table; OutputError if the file cannot be written."""
+    with replacing(Path(path)) as temporary:
+        temporary.write_text(pin_table(pins), encoding="utf-8")
