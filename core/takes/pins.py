@@ -136,7 +136,7 @@ def _pin(cells: list[str]) -> Pin:
         time, number, x, y = (float(cell) for cell in cells)
     except ValueError as error:
         raise DataError("{text} is not a pin", text=shown(", ".join(cells))) from error
-    if not all(abs(value) < _LARGEST for value in (time, x, y)):
+    if not (all(abs(value) < _LARGEST for value in (time, x, y)) and number in IBUG68_INDICES):
         raise DataError("{text} is not a pin", text=shown(", ".join(cells)))
     return Pin(time, int(from_ibug([int(number)])[0]), x, y)
 
