@@ -47,6 +47,8 @@ _PIN = 0.003
 """Standard deviation of a pin, in eye distances."""
 _TIME = 0.12
 """Seconds over which a correction lasts."""
+_FAINT = 1e-6
+"""Share of a correction below which a frame stays exactly as it was tracked."""
 _LOOK = 1.5
 """Difference of landmarks over which a correction fades, relative to how much their part moves in the take."""
 _LIKENESS = (0.5, 1.0, 2.0)
@@ -244,7 +246,9 @@ class _Part:
     def _near(self, frames: IntArray | slice) -> FloatArray:
         """Share of the corrections that frames (N,) near in time keep, (N, F)."""
         apart = (self._times[frames, None] - self._times[self._pins.frames]) / _TIME
-        return np.asarray(np.exp(-0.5 * np.square(apart)) * self._usual.of(self._faces.chosen(frames)))
+        near = np.exp(-0.5 * np.square(apart)) * self._usual.of(self._faces.chosen(frames))
+        near[near < _FAINT] = 0.0
+        return np.asarray(near)
 
     def _kernel(self, frames: IntArray | slice, likeness: Likeness | None) -> FloatArray:
         """Share of the corrections that frames (N,) have which are near or, with a likeness, alike, (N, F)."""

@@ -68,7 +68,7 @@ def with_pins(take: Take, pins: Iterable[Pin]) -> Take:
 
     Raises SourceError if there are too many.
     """
-    rows = {(pin.time, pin.landmark): [pin.time, pin.landmark, pin.x, pin.y] for pin in pins}
+    rows = {(pin.time, pin.landmark): [float(pin.time), int(pin.landmark), float(pin.x), float(pin.y)] for pin in pins}
     if len(rows) > MAX_PINS:
         raise SourceError("{count} pins are more than {most}. Remove some.", count=len(rows), most=MAX_PINS)
     info = {key: value for key, value in take.info.items() if key != PINS}

@@ -85,7 +85,7 @@ def test_a_pin_is_where_it_was_put_after_saving_and_stays_removable(tmp_path):
     [
         lambda take: shift_time(take, 3.7),
         lambda take: trim(take, 1.2, 2.0),
-        lambda take: mirror_take(take),
+        mirror_take,
         lambda take: punch_in(take, performance(80), 0.2, 0.6),
         lambda take: punch_in(performance(80), take, 1.2, 2.2, 0.1),
         lambda take: resample(take, 50.0),
