@@ -24,7 +24,7 @@ def doubtful_frames(take: Take) -> IntArray:
     Each part of the face, and the face as a whole, is compared with its own usual certainty in the take; the worst
     counts. Failed fits come first. Frames near a pin, or near a more doubtful frame, are left out.
     """
-    doubt = _doubt(take)
+    doubt = uncertainty(take)
     starts = np.searchsorted(take.times, take.times - APART, side="right")
     ends = np.searchsorted(take.times, take.times + APART, side="left")
     free = take.found & (doubt > 1.0)
@@ -40,7 +40,7 @@ def doubtful_frames(take: Take) -> IntArray:
     return np.array(chosen, dtype=np.intp)
 
 
-def _doubt(take: Take) -> FloatArray:
+def uncertainty(take: Take) -> FloatArray:
     """Uncertainty relative to the usual one, (N,): the largest of parts and face; 1 where none is known."""
     parts = [take.landmark_confidence[:, part].mean(axis=1) for part in PARTS]
     unsure = 1.0 - np.column_stack([*parts, take.confidence]).astype(np.float64)
