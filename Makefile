@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -161,6 +161,11 @@ bench-actions: setup
 bench-learning: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.learning --json build/bench/learning.json
+
+# Pins, on rendered clips of held-out people; needs ../shared/data. Two minutes, and as long again for the first rendering.
+bench-correct: setup
+	mkdir -p build/bench
+	$(BIN)/python -m lab.bench.correct --json build/bench/correct.json
 
 # The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
 bench-coefficients: setup

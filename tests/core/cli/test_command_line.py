@@ -309,7 +309,7 @@ def test_a_signal_during_start_up_ends_the_process_at_once_without_a_traceback(t
 
 @needs_posix
 def test_an_interrupt_without_a_message_is_reported_in_a_full_sentence(take, monkeypatch, capsys):
-    def interrupt(_: object) -> None:
+    def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr("facemime.cli.job_files.load_take", interrupt)
