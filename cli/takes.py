@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,7 @@ from ..core.takes.mending import draw_before_after, mend
 from ..core.takes.mending_settings import BLEND, Mending
 from ..core.takes.neutral import calibrate
 from ..core.takes.openface import write_openface_csv
-from ..core.takes.pins import LEARN, Pin, pins_of, read_pins, with_pins, write_pins
+from ..core.takes.pins import Pin, pins_of, read_pins, with_learning, with_pins, write_pins
 from ..core.takes.recordings import SUFFIXES as RECORDINGS
 from ..core.takes.recordings import read_recording
 from ..core.takes.smooth import CUTOFFS
@@ -189,7 +188,7 @@ def _pinned(take: Take, given: Options) -> Take:
     if given["learn"]:
         if not pins_of(take):
             raise FacemimeError("--learn needs pins, and the take has none. Add --pins.")
-        take = replace(take, info={**take.info, LEARN: True})
+        take = with_learning(take, True)
     return take
 
 
