@@ -335,3 +335,36 @@ def test_as_many_pins_as_are_allowed_on_one_part_are_solved():
     frames = np.arange(0, 2 * (MAX_PINS // len(LIPS)), 2) % 200
     solved = solve_pins(learning(pin(take, true, np.unique(frames), LIPS)))
     assert errors(solved, true, LIPS).max() < 0.01  # lips that are all but shut are closed
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.lists(
+        st.tuples(
+            st.floats(-1.0, 4.0),
+            st.integers(0, N_LANDMARKS - 1),
+            st.floats(-2000.0, 2000.0),
+            st.floats(-2000.0, 2000.0),
+        ),
+        min_size=1,
+        max_size=60,
+    ),
+    st.booleans(),
+)
+def test_any_pins_give_a_take_of_numbers(rows, learns):
+    take = with_pins(performance(), [Pin(*row) for row in rows])
+    solved = solve_pins(learning(take) if learns else take)
+    assert np.isfinite(solved.shape[take.found]).all() and np.isfinite(solved.landmarks[take.found]).all()
+    assert np.isnan(solved.shape[~take.found]).all()
+    assert np.abs(solved.shape[take.found]).max() < 30.0
+    np.testing.assert_array_equal(solved.times, take.times)
+
+
+def test_a_lid_that_is_not_pinned_closes_the_eye_onto_one_that_is():
+    take = flat()
+    true = seen(take)
+    upper = EYE_RIGHT[[1, 2]]
+    true[:, upper] = true[:, EYE_RIGHT[[5, 4]]]
+    solved = solve_pins(pin(take, true, 75, upper))
+    np.testing.assert_allclose(lid_gaps(seen(solved))[75, :2], 0.0, atol=1e-3)
+    assert np.abs(solved.landmarks[75, upper] - project(true, take.pose)[75, upper]).max() < 0.6
