@@ -17,7 +17,7 @@ from ..core.heads.built_in import LOOKS, eyes_of_gaze, gaze_of
 from ..core.puppet.job import HeadFile
 from ..core.streams.sender import eyes_from, turned_from
 from ..core.takes.coefficient_table import write_coefficient_csv
-from ..core.takes.correction import learn, solve_pins
+from ..core.takes.correction import learn, solve_pins, without_pins
 from ..core.takes.face_models import FPS, is_moving_face, read_moving_face
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.learnt import corrected
@@ -225,13 +225,13 @@ def _mended(take: Take, given: Options) -> Take:
 def _run_export(given: Options) -> int:
     """Run `facemime export`: write a take as a table; returns the exit status."""
     with outputs_of(((given["output"], {".csv"}),), {"the take that is exported": given["take"]}):
-        take = load_with_warnings(given["take"])
-        if given["columns"] == "all":
-            to_csv(take, given["output"])
-        elif given["columns"] == "pins":
+        take = load_with_warnings(given["take"], solved=False)
+        if given["columns"] == "pins":
             write_pins(pins_of(take), given["output"])
+        elif given["columns"] == "all":
+            to_csv(without_pins(take), given["output"])
         else:
-            _export_coefficients(take, given["output"], given["columns"], given["rate"])
+            _export_coefficients(without_pins(take), given["output"], given["columns"], given["rate"])
     return 0
 
 

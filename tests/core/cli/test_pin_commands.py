@@ -9,6 +9,7 @@ from facemime.cli import main as cli
 from facemime.core.face.landmarks import BROWS, IBUG68_INDICES
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.pins import Pin, learns_from_pins, pins_of, read_pins, with_pins, write_pins
+from facemime.core.takes.spreadsheet import from_csv
 from facemime.core.takes.take import FIELDS, Take
 from tests.helpers.takes import performance
 
@@ -109,6 +110,14 @@ def test_export_writes_the_table_that_mend_reads(paths, tmp_path):
     assert (tmp_path / "out.csv").read_text().splitlines()[1].split(",")[1] == str(IBUG68_INDICES[RIGHT[0]])
     run("export", plain, "-o", tmp_path / "none.csv", "--columns", "pins")
     assert (tmp_path / "none.csv").read_text() == "time,landmark,x,y\n"
+
+
+def test_a_table_of_a_take_contains_the_corrected_landmarks_without_pins(paths, tmp_path):
+    _, pinned, _ = paths
+    run("export", pinned, "-o", tmp_path / "out.csv")
+    table = from_csv(tmp_path / "out.csv")
+    assert pins_of(table) == ()
+    np.testing.assert_array_equal(table.landmarks, load_take(pinned).landmarks)
 
 
 @pytest.mark.parametrize(
