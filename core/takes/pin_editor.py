@@ -11,6 +11,8 @@ from .doubt import doubtful_frames
 from .pins import Pin, pins_of, with_pins
 from .take import Take
 
+_USUAL = 40
+"""Number of frames, beside those with pins, with which a frame is solved while it is edited."""
 _MOST_UNDONE = 256
 """Number of changes that can be undone."""
 
@@ -67,7 +69,8 @@ class PinEditor:
         if not pins or not self.found:
             return np.asarray(take.landmarks[self.frame], np.float64)
         nearest = np.abs(take.times - np.array([[pin.time] for pin in pins])).argmin(axis=1)
-        frames = np.unique([*nearest[take.found[nearest]], self.frame])
+        some = np.linspace(0, len(take) - 1, _USUAL).astype(np.intp)  # which tell what is usual in the take
+        frames = np.unique([*nearest[take.found[nearest]], *some[take.found[some]], self.frame])
         kept = [pin for pin, frame in zip(pins, nearest, strict=True) if take.found[frame]]
         few = solve_pins(with_pins(take.part(frames), kept))
         return np.asarray(few.landmarks[int(np.searchsorted(frames, self.frame))], np.float64)
