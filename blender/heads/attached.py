@@ -57,9 +57,10 @@ def attach(head: bpy.types.Object, parts: Mapping[str, bpy.types.Object]) -> Non
 def attach_all() -> None:
     """Attach the parts of heads that have none attached, such as those in files from earlier versions."""
     found: dict[bpy.types.Object, dict[str, bpy.types.Object]] = {}
+    attached = {part for head in heads_with_parts() for part in parts_of(head).values()}
     for obj in bpy.data.objects:
-        head = obj.parent if PART_PROPERTY in obj else None
-        if head is not None and _is_local(head) and _is_local(obj) and PARTS_PROPERTY not in head:
+        head = obj.parent if PART_PROPERTY in obj and obj not in attached else None  # the user may have rigged them
+        if head is not None and head.type == "MESH" and _is_local(head) and _is_local(obj) and PARTS_PROPERTY not in head:
             found.setdefault(head, {})[str(obj[PART_PROPERTY])] = obj
     for head, parts in found.items():
         attach(head, parts)

@@ -227,3 +227,16 @@ def test_a_shot_with_a_character_of_another_file_opens_as_it_was_saved(head, how
     if how != "link":
         (own,) = (obj for obj in bpy.data.objects if PARTS_PROPERTY in obj and obj.library is None)
         assert len(parts_of(own)) == COUNT and all(part.parent == own for part in parts_of(own).values())
+
+
+def test_parts_that_were_parented_to_an_armature_are_not_copied_when_the_file_is_opened(head, tmp_path):
+    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.collection.objects.link(armature)
+    before = sorted(obj.name for obj in bpy.data.objects)
+    for part in parts_of(head).values():
+        part.parent = armature
+    path = str(tmp_path / "rigged.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    update()
+    assert sorted(obj.name for obj in bpy.data.objects) == before
