@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from .drive_settings import DriveSettings
 from .parts import PartDriver
 from .posing import EyeDriver, Jaw, limit_rotation, limit_vector
 from .retarget import retargeter_for
+from .teaching import TaughtVertices, edited_vertices, expression_of
 
 _BY_DEFAULT = DriveSettings()
 
@@ -51,6 +52,8 @@ class HeadFrame:
         Displacements of the landmarks, which move the skin: head frame, unit of the mesh.
     keys : (K,) float64
         Values of shape keys that move the vertices instead, in the order of `LiveKeys.offsets`; empty without keys.
+    taught : (k,) float64
+        Weights of the examples of `HeadRig.style` that count, by which the vertices are corrected.
 
     Examples
     --------
@@ -70,6 +73,7 @@ class HeadFrame:
     actions: FloatArray
     displacements: FloatArray
     keys: FloatArray
+    taught: FloatArray = field(default_factory=lambda: np.empty(0))
 
     @property
     def tongue(self) -> float:
@@ -89,7 +93,8 @@ class HeadDriver:
     options : DriveSettings
         Settings.
     reuse : HeadDriver, optional
-        An earlier driver, whose eyes are continued, and whose deformer is reused if rig and kernel are the same.
+        An earlier driver, whose eyes are continued, and whose deformer is reused if kernel and rig, but for its style,
+        are the same.
 
     Examples
     --------
@@ -118,7 +123,7 @@ class HeadDriver:
         self.contact: EyeballContact
         self.modes: NDArray[np.float32] | None
         self.parts: PartDriver | None
-        if reuse is not None and reuse.rig is rig and _same_deformer(reuse.options, options):
+        if reuse is not None and reuse.rig.same_face(rig) and _same_deformer(reuse.options, options):
             self.deformer, self.contact = reuse.deformer, reuse.contact
             self.modes, self.parts = reuse.modes, reuse.parts
         else:
@@ -134,6 +139,9 @@ class HeadDriver:
         if reuse is not None:
             self.eyes.follow(reuse.eyes)
         self.actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
+        every = np.arange(len(self.rest))
+        self._kept, others = (every, every[:0]) if self.parts is None else (self.parts.kept, self.parts.others)
+        self.taught = TaughtVertices(rig.style, len(every), self._kept, others)
         self._jaw = Jaw(landmarks, rig.jaw_pivot)
         self._unit = outer_eye_distance(landmarks)
 
@@ -144,29 +152,24 @@ class HeadDriver:
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
-        result = mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
-        posing, planar = self.options.posing, self.options.mode == "planar"
-        # Landmarks (sections 4.1 to 4.4); pose within the user's limits (4.5).
+        result, posing = self._mirrored(result), self.options.posing
         displacements = self.retargeter.displacements(result.shape)
+        # Pose within the user's limits (section 4.5).
         turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
         rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
-        # Skin (section 5), actions that no landmark shows (5.9), and lids that slide over the eyeballs (5.8).
-        vertices = self.deformer.deform(displacements)
         actions = np.zeros(N_ACTIONS)
         if not self.options.only_landmarks:
             actions = self.actions.activations(result.actions, result.shape)
-        if self.modes is not None:
-            for k in np.flatnonzero(actions):
-                vertices += np.float32(actions[k]) * self.modes[k]
-        if planar:
-            vertices[:, 2] = self.deformer.rest[:, 2]
-        elif self.options.contact:
-            self.contact.resolve(vertices)
+        taught = self.taught.weights(expression_of(result, self.neutral))
         gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
         jaw = self._jaw.rotation(displacements)
         eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
+        skin = self._skin(displacements, actions)
+        self.taught.move_skin(skin, taught)
+        vertices = self._posed(skin, jaw, eyes)
+        self.taught.move_others(vertices, taught)
         return HeadFrame(
-            vertices=vertices if self.parts is None else self.parts.pose(vertices, jaw, eyes, planar=planar),
+            vertices=vertices,
             rotation=rotation,
             translation=self._unit
             * limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit),
@@ -175,7 +178,51 @@ class HeadDriver:
             actions=actions,
             displacements=displacements,
             keys=np.empty(0),
+            taught=taught,
         )
+
+    def expression(self, result: TrackResult) -> FloatArray:
+        """Return the expression of a tracking result with a face, (213,), for which corrections are taught."""
+        return expression_of(self._mirrored(result), self.neutral)
+
+    def offsets(self, shown: HeadFrame, wanted: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Return the offsets, (A, 3), of an example that lets the head look as `wanted` (A, 3) in a frame.
+
+        Where that is what the frame shows already, the example keeps the present correction. Arrays are as in
+        `HeadFrame`.
+        """
+        edited = edited_vertices(wanted, shown.vertices, self._unit)
+        offsets = np.zeros_like(shown.vertices)
+        self.taught.move_others(offsets, shown.taught)
+        base, kept = self._skin(shown.displacements, shown.actions), self._kept
+        present = np.zeros_like(base)
+        self.taught.move_skin(present, shown.taught)
+        skin = np.where(edited[kept, None], wanted[kept] - base, present)
+        offsets[kept] = skin
+        if self.parts is not None:
+            others = self.parts.others[edited[self.parts.others]]
+            offsets[others] = (wanted - self._posed(base + skin, shown.jaw, shown.gaze))[others]
+        return offsets
+
+    def _mirrored(self, result: TrackResult) -> TrackResult:
+        return mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
+
+    def _skin(self, displacements: FloatArray, actions: FloatArray) -> NDArray[np.float32]:
+        """Move the skin (U, 3) by the landmarks (section 5), and by actions that no landmark shows (5.9)."""
+        vertices = self.deformer.deform(displacements)
+        if self.modes is not None:
+            for k in np.flatnonzero(actions):
+                vertices += np.float32(actions[k]) * self.modes[k]
+        if self.options.mode == "planar":
+            vertices[:, 2] = self.deformer.rest[:, 2]
+        return vertices
+
+    def _posed(self, skin: NDArray[np.float32], jaw: FloatArray, eyes: FloatArray) -> NDArray[np.float32]:
+        """Return all vertices (A, 3) for those of the skin, whose lids slide over the eyeballs (section 5.8)."""
+        planar = self.options.mode == "planar"
+        if self.options.contact and not planar:
+            self.contact.resolve(skin)
+        return skin if self.parts is None else self.parts.pose(skin, jaw, eyes, planar=planar)
 
     def _translation(self, pose: FloatArray) -> FloatArray:
         """Translation from neutral in outer-eye distances, (3,), by weak perspective (equation 4.4)."""

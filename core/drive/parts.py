@@ -145,13 +145,17 @@ def _rotations(turns: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 class PartDriver:
-    """Poses all vertices of a head: the others follow those of its skin, whose rig alone is `deformed`."""
+    """Poses all vertices of a head: the others follow those of its skin, whose rig alone is `deformed`.
+
+    `kept` (U,) is the vertex of the head of each vertex of the skin, and `others` (O,) are those of other parts.
+    """
 
     def __init__(self, rig: HeadRig, skin: Skin, deformed: HeadRig) -> None:
         self.rest = rig.all_vertices
         self._skin_rest = np.ascontiguousarray(deformed.vertices, dtype=np.float32)
         self._skin_rows = np.flatnonzero(skin.number >= 0)
         self._copies = skin.number[self._skin_rows]
+        self.kept, self.others = skin.kept, np.setdiff1d(np.arange(len(self.rest)), self._skin_rows)
         kinds = rig.kinds
         self._eyes = []
         for side, kind in enumerate((Part.EYE_RIGHT, Part.EYE_LEFT)):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import IntEnum
 
 import numpy as np
@@ -14,6 +14,7 @@ from ..face.rotation import fit_rotation
 from ..mesh.surface import SurfaceGraph, border_twins
 from ..numeric.arrays import FloatArray, IntArray
 from .built_in import Head, load_head
+from .style import Style
 
 _SLIT_REACH = 0.15
 """Distance, in outer-eye distances, from the landmarks of an eye or the mouth within which a closed border is its
@@ -169,6 +170,8 @@ class HeadRig:
         Vertices of each face, padded with -1, for the informed kernel, which otherwise uses only distance in space.
     parts : FaceParts, optional
         Eyes, teeth, lashes and other parts, of this mesh and of others; without it all vertices are skin.
+    style : Style
+        Examples by which the head was taught; by default none.
 
     Examples
     --------
@@ -187,6 +190,7 @@ class HeadRig:
     covariance: FloatArray | None = None
     faces: IntArray | None = None
     parts: FaceParts | None = None
+    style: Style = field(default_factory=Style)
 
     @property
     def eye_distance(self) -> float:
@@ -238,8 +242,14 @@ class HeadRig:
             region_weights=np.asarray(self.region_weights)[:, skin.kept],
             faces=skin.faces,
             parts=None,
+            style=Style(),
         )
         return alone, skin
+
+    def same_face(self, other: HeadRig) -> bool:
+        """Return whether everything but the style is the same objects, as after `dataclasses.replace`."""
+        names = (one.name for one in fields(self) if one.name != "style")
+        return all(getattr(self, name) is getattr(other, name) for name in names)
 
     def __post_init__(self) -> None:
         landmarks = np.asarray(self.landmarks)

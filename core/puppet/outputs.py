@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ..bake.arkit import FrameCoefficients
 from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver, HeadFrame
+from ..drive.teaching import TaughtKeys
 from ..heads.key_map import KeyMap
 from ..heads.rig import HeadRig
 from ..takes.neutral import Neutral
@@ -34,11 +35,14 @@ class LiveKeys:
         Displacements at value 1 of the vertices in `HeadRig.all_vertices`: head frame, unit of the mesh.
     ranges : dict of str to (float, float)
         Smallest and largest value of each key.
+    rest : dict of str to float
+        Values at rest of keys that are not in the mapping but were taught; by default 0.
     """
 
     table: KeyMap
     offsets: dict[str, NDArray[np.float32]]
     ranges: dict[str, tuple[float, float]]
+    rest: dict[str, float] = field(default_factory=dict)
 
 
 class KeyDriver:
@@ -47,11 +51,13 @@ class KeyDriver:
     def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
         self.head, self.keys = head, keys
         self._coefficients = FrameCoefficients(neutral, head.options)
+        self.taught = TaughtKeys(head.rig.style)
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
         posed = self.head.frame(result)
         values = self.keys.table.apply(self._coefficients.of(result)[None], self.keys.ranges)
+        values = self.taught.corrected(values, [self.head.expression(result)], self.keys.ranges, self.keys.rest)
         vertices = np.array(self.head.rest, dtype=np.float32)
         for name, (value,) in values.items():
             if value != 0.0:
@@ -164,8 +170,8 @@ def _drive(
 def _prepare(head: LiveHead, neutral: Neutral, drivers: list[HeadDriver | KeyDriver]) -> HeadDriver | KeyDriver:
     """Create a driver, with the deformer of one of `drivers` that has the same rig."""
     earlier = [driver.head if isinstance(driver, KeyDriver) else driver for driver in drivers]
-    before = {id(driver.rig): driver for driver in earlier}
-    driver = HeadDriver(head.rig, neutral, head.options, reuse=before.get(id(head.rig)))
+    before = next((driver for driver in earlier if driver.rig.same_face(head.rig)), None)
+    driver = HeadDriver(head.rig, neutral, head.options, reuse=before)
     return driver if head.keys is None else KeyDriver(driver, neutral, head.keys)
 
 

@@ -81,7 +81,7 @@ class FaceSpace:
         with the covariance ``C = V diag(l) V^T`` of people's faces, the face that `n` frames with the mean `x` suggest
         is ``V diag(n l / (n l + 1)) V^T x``.
         """
-        away = without_similarity(shapes - self.mean, self.mean).reshape(len(shapes), -1) * _TRUST / _NOISE
+        away = without_similarity(shapes - self.mean, self.mean).reshape(len(shapes), -1) * TRUST / _NOISE
         shown, (spread, axes) = self._scaled_units, self._people
         gram, activations = shown @ shown.T, np.zeros((len(shapes), len(shown)))
         person, of_mean = np.zeros(away.shape[1]), away @ shown.T
@@ -120,13 +120,13 @@ class FaceSpace:
     @cached_property
     def _scaled_units(self) -> FloatArray:
         """Units as rows of weighted coordinates, (U, 198), in standard deviations of the noise."""
-        return np.asarray(self.units.reshape(len(self.units), -1) * _TRUST / _NOISE)
+        return np.asarray(self.units.reshape(len(self.units), -1) * TRUST / _NOISE)
 
     @cached_property
     def _people(self) -> tuple[FloatArray, FloatArray]:
         """Variances (198,) and axes, as columns (198, 198), of people's faces in the same coordinates."""
         own = self.identity.reshape(len(self.identity), -1)
-        own = np.concatenate([own, _UNIQUE * np.eye(own.shape[1])]) * _TRUST / _NOISE
+        own = np.concatenate([own, _UNIQUE * np.eye(own.shape[1])]) * TRUST / _NOISE
         spread, axes = linalg.eigh(own.T @ own)
         return np.maximum(spread, 0.0), axes
 
@@ -138,7 +138,7 @@ def without_similarity(displacements: FloatArray, mean: FloatArray) -> FloatArra
     """
     whole = np.stack(list(_similarities(mean))).reshape(7, -1)
     flat = displacements.reshape(len(displacements), -1)
-    moved, *_ = linalg.lstsq((whole * _TRUST).T, (flat * _TRUST).T)
+    moved, *_ = linalg.lstsq((whole * TRUST).T, (flat * TRUST).T)
     return np.asarray(flat - moved.T @ whole).reshape(displacements.shape)
 
 
@@ -158,7 +158,8 @@ def _trust() -> FloatArray:
     return trust.reshape(-1)
 
 
-_TRUST = _trust()
+TRUST = _trust()
+"""Weight of each coordinate of the landmarks, (198,), by how well a camera shows it."""
 
 
 @lru_cache(maxsize=1)
