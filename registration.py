@@ -23,11 +23,20 @@ from .operators import (
     puppet_video,
     take_edits,
     takes,
+    teaching,
     viewer,
 )
 from .sessions import landmark_edit as landmark_session
 from .sessions import session, show
-from .settings import panel_properties, performers, preferences, properties, storage, takes_properties
+from .settings import (
+    panel_properties,
+    performers,
+    preferences,
+    properties,
+    storage,
+    takes_properties,
+    teaching_properties,
+)
 from .ui import control_points as control_points_panel
 from .ui import documentation, landmark_editor, menus, overlays, status
 from .ui import head as head_panels
@@ -35,10 +44,12 @@ from .ui import puppet as puppet_panel
 from .ui import source as source_panel
 from .ui import start as start_panel
 from .ui import takes as takes_panels
+from .ui import teaching as teaching_panel
 
 _MODULES = (
     messages,
     preferences,
+    teaching_properties,
     properties,
     panel_properties,
     performers,
@@ -60,6 +71,7 @@ _MODULES = (
     take_edits,
     landmark_edit,
     bake,
+    teaching,
     documentation,
     menus,
     start_panel,
@@ -68,6 +80,7 @@ _MODULES = (
     control_points_panel,
     puppet_panel,
     takes_panels,
+    teaching_panel,
     status,
     overlays,
     landmark_editor,

@@ -30,6 +30,7 @@ from .meshes import (
     read_weights,
 )
 from .names import PART_PROPERTY
+from .styles import read_style
 
 _VERTICES_PER_CHECK = 2048
 
@@ -37,13 +38,14 @@ _VERTICES_PER_CHECK = 2048
 def read_rig(obj: bpy.types.Object | None) -> HeadRig:
     """Read the rig of `obj` from its meshes, their custom properties, attributes and vertex groups.
 
-    Raises HeadError if it is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more.
+    Raises HeadError if it is not a mesh, or its landmarks or regions are missing or do not fit the mesh any more, and
+    SourceError if an example by which it was taught is damaged.
     """
     obj = object_of(obj)
     faces = read_faces(mesh_of(obj))
     quick = _read_quick_parts(obj)
     weights = _least_regions(obj) if driven_by_keys(obj) else read_regions(obj)
-    return HeadRig(**quick, region_weights=weights, faces=faces, parts=read_parts(obj))
+    return HeadRig(**quick, region_weights=weights, faces=faces, parts=read_parts(obj), style=read_style(obj))
 
 
 def _least_regions(obj: bpy.types.Object) -> NDArray[np.float32]:

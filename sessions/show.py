@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -12,19 +12,23 @@ from ..blender.animation.live import Follow, LiveHeadObject, require_one_left
 from ..blender.animation.live_keys import names_of
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.scene_range import fit_range, outside_range
+from ..blender.animation.taught import own_values
 from ..blender.contexts import push_undo
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import show_error
 from ..blender.registering import watch
 from ..blender.rigs import read_rig
+from ..blender.styles import read_style, style_state
 from ..blender.timeline import frames_of, seconds_of
 from ..blender.viewports import redraw
-from ..core.drive.driver import HeadDriver
+from ..core.drive.driver import HeadDriver, HeadFrame
 from ..core.errors import FacemimeError, HeadError
+from ..core.heads.rig import HeadRig
 from ..core.puppet.outputs import KeyDriver, LiveKeys
 from ..core.puppet.performer import Performance
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take
+from ..core.tracking.result import TrackResult
 from ..settings.values import place_take, pose_targets, puppet_settings
 from .session import Session
 from .start import keys_of
@@ -40,19 +44,37 @@ class _Wanted:
     puppet: PuppetSettings
     drive_by: str
     rows: tuple[tuple[str, str, float, float], ...]
+    styles: tuple[object, ...]
 
     @classmethod
-    def of(cls, scene: bpy.types.Scene) -> _Wanted:
-        """Read the settings."""
+    def of(cls, scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> _Wanted:
+        """Read the settings, and the state of the styles of heads."""
         rows = tuple((row.source, row.key, row.gain, row.offset) for row in scene.facemime_takes.bake.rows)
-        return cls(puppet_settings(scene.facemime), scene.facemime.drive_by, rows)
+        styles = tuple(style_state(obj) for obj in objects)
+        return cls(puppet_settings(scene.facemime), scene.facemime.drive_by, rows, styles)
 
 
 class TakeShow(Session):
     """Displays a take on heads at the current frame until `close`, in time with a bake.
 
-    The settings and the frame of the scene are followed. `path` is that of the take in the list. `warnings` say what
-    keeps the take from being seen. Raises FacemimeError if a head cannot be driven, or the take contains no face.
+    The settings and the frame of the scene are followed. Raises FacemimeError if a head cannot be driven, or the take
+    contains no face.
+
+    Attributes
+    ----------
+    path : str
+        Path of the take in the list.
+    warnings : list of str
+        What keeps the take from being seen.
+    performance : Performance
+    drivers : list of HeadDriver or KeyDriver
+        Driver of each head.
+    frames : list of HeadFrame or None
+        What each head shows.
+    before : dict of str to Values
+        Values of the shape keys of each head at the start, by its name.
+    start : float
+        Frame of the scene at which the take starts.
     """
 
     def __init__(self, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object], take: Take, path: str = "") -> None:
@@ -60,62 +82,66 @@ class TakeShow(Session):
             raise HeadError("No head is selected. Use Add > Mesh > Facemime Head, or find the face of your own.")
         settings = scene.facemime
         self.path = path
-        self._recorded, self._wanted = take, _Wanted.of(scene)
-        self._performance = Performance.of(take, self._wanted.puppet)
+        self._recorded, self._wanted = take, _Wanted.of(scene, objects)
+        self.performance = Performance.of(take, self._wanted.puppet)
+        self.before = {obj.name: own_values(obj) for obj in objects}
+        self.frames: list[HeadFrame | None] = [None] * len(objects)
         keys = [keys_of(scene, obj) for obj in objects]
         follow = Follow(settings.rotation, settings.translation)
         heads = [
             LiveHeadObject(obj, pose_targets(settings.posing, obj), follow, names_of(own))
             for obj, own in zip(objects, keys, strict=True)
         ]
-        self._drivers = [self._driver(obj, own, None) for obj, own in zip(objects, keys, strict=True)]
+        self.drivers = [self._driver(read_rig(obj), own, None) for obj, own in zip(objects, keys, strict=True)]
         self.scene = scene.name
         super().__init__()
         self.heads = heads
         self._display = FaceDisplay(objects, bones=settings.hide_bones and bpy.context.mode != "POSE")
         bake = scene.facemime_takes.bake
-        self._start = place_take(scene)
-        frames = frames_of(scene, take.times, self._start)
+        self.start = place_take(scene)
+        frames = frames_of(scene, take.times, self.start)
         fit_range(scene, frames, bake.start, asked=bake.fit_range)
         self.warnings = [*self.overruled(), *filter(None, [outside_range(scene, frames)])]
         self.resume()
         push_undo("Preview on Head")
         watch(follow_settings, _INTERVAL)
 
-    def _driver(
-        self, obj: bpy.types.Object, keys: LiveKeys | None, before: HeadDriver | None
-    ) -> HeadDriver | KeyDriver:
-        driver = self._performance.driver(read_rig(obj), before)
-        return driver if keys is None else KeyDriver(driver, self._performance.neutral, keys)
+    def _driver(self, rig: HeadRig, keys: LiveKeys | None, before: HeadDriver | None) -> HeadDriver | KeyDriver:
+        driver = self.performance.driver(rig, before)
+        return driver if keys is None else KeyDriver(driver, self.performance.neutral, keys)
 
     def follow(self, scene: bpy.types.Scene) -> bool:
         """Apply the current settings of the scene; return whether they have changed since the last call.
 
         Raises FacemimeError if a head cannot be driven with these settings.
         """
-        before, wanted = self._wanted, _Wanted.of(scene)
+        before, wanted = self._wanted, self._read(scene)
         if wanted == before:
             return False
         if (wanted.puppet.smoothing, wanted.puppet.neutral) != (before.puppet.smoothing, before.puppet.neutral):
-            self._performance = Performance.of(self._recorded, wanted.puppet)
+            self.performance = Performance.of(self._recorded, wanted.puppet)
         else:
-            self._performance = replace(self._performance, settings=wanted.puppet.drive)
-        self._drive(scene, wanted)
+            self.performance = replace(self.performance, settings=wanted.puppet.drive)
+        self._drive(scene, wanted, same_rigs=replace(wanted, styles=before.styles) == before)
         return True
 
     def renew(self, scene: bpy.types.Scene, take: Take) -> None:
         """Display an edited version of the take; raises FacemimeError as `follow`."""
-        self._recorded, wanted = take, _Wanted.of(scene)
-        self._performance = Performance.of(take, wanted.puppet)
-        self._drive(scene, wanted)
+        self._recorded, wanted = take, self._read(scene)
+        self.performance = Performance.of(take, wanted.puppet)
+        self._drive(scene, wanted, same_rigs=True)
 
-    def _drive(self, scene: bpy.types.Scene, wanted: _Wanted) -> None:
+    def _read(self, scene: bpy.types.Scene) -> _Wanted:
+        return _Wanted.of(scene, [shown.obj for shown in self.heads if not shown.gone])
+
+    def _drive(self, scene: bpy.types.Scene, wanted: _Wanted, *, same_rigs: bool) -> None:
+        """Prepare the drivers, whose deformers are prepared again unless the rigs but for their styles are the same."""
         self._wanted = wanted
         for number, shown in enumerate(self.heads):
             if not shown.gone:
-                keys, earlier = keys_of(scene, shown.obj), self._drivers[number]
-                driver = earlier.head if isinstance(earlier, KeyDriver) else earlier
-                self._drivers[number] = self._driver(shown.obj, keys, driver)
+                keys, driver = keys_of(scene, shown.obj), head_driver(self.drivers[number])
+                rig = replace(driver.rig, style=read_style(shown.obj)) if same_rigs else read_rig(shown.obj)
+                self.drivers[number] = self._driver(rig, keys, driver)
                 shown.follow = Follow(wanted.puppet.rotation, wanted.puppet.translation)
                 shown.drive_by(names_of(keys))
         self.show(scene)
@@ -124,13 +150,18 @@ class TakeShow(Session):
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""
         if scene.name != self.scene:
             return
-        take = self._performance.take
-        away = np.where(take.found, np.abs(take.times - seconds_of(scene, self._start)), np.inf)
-        result = take.result(int(away.argmin()))
+        result = self.result(scene)
         require_one_left(self.heads)
-        for shown, driver in zip(self.heads, self._drivers, strict=True):
+        for number, shown in enumerate(self.heads):
             if not shown.gone:
-                shown.write(driver.frame(result))
+                self.frames[number] = frame = self.drivers[number].frame(result)
+                shown.write(frame)
+
+    def result(self, scene: bpy.types.Scene) -> TrackResult:
+        """Return the result in the frame of the take nearest to the current frame."""
+        take = self.performance.take
+        away = np.where(take.found, np.abs(take.times - seconds_of(scene, self.start)), np.inf)
+        return take.result(int(away.argmin()))
 
     def resume(self) -> None:
         """Display the take on the heads."""
@@ -145,6 +176,11 @@ class TakeShow(Session):
         removed.append(clear_all_live(blocks=blocks, but=self.blocks))
         if any(removed):
             push_undo("Stop Showing Take")
+
+
+def head_driver(driver: HeadDriver | KeyDriver) -> HeadDriver:
+    """Return the driver of the pose of a head, and of its skin unless its keys move it."""
+    return driver.head if isinstance(driver, KeyDriver) else driver
 
 
 def _show(scene: bpy.types.Scene, *_: object) -> None:

@@ -10,6 +10,7 @@ import bpy
 from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.animation.live_keys import KEYS, live_keys, names_of
 from ..blender.rigs import read_rig, rig_checks
+from ..blender.styles import read_style, style_state
 from ..core.errors import HeadError
 from ..core.puppet.outputs import DrivenOutput, LiveHead, LiveKeys
 from ..core.puppet.sources import LiveSource
@@ -87,7 +88,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
         output=output,
     )
     session.worker.first.corrections = learnt
-    session.keep, session.drive_by = settings.keep_pose, settings.drive_by
+    session.keep, session.drive_by, session.styles = settings.keep_pose, settings.drive_by, _styles(shown)
     try:
         session.displays.view(open_viewer(settings, objects))
         session.displays.send_vertices(open_vertices(settings.output, objects))
@@ -102,6 +103,10 @@ def keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
     choice = scene.facemime.drive_by
     bake = scene.facemime_takes.bake
     return live_keys(obj, choice, read_table(bake) if choice == KEYS and len(bake.rows) else None)
+
+
+def _styles(heads: Sequence[LiveHeadObject]) -> tuple[object, ...]:
+    return tuple(() if shown.gone else style_state(shown.obj) for shown in heads)
 
 
 def _choose_senders(source: LiveSource, objects: Sequence[bpy.types.Object | None]) -> None:
@@ -130,14 +135,16 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
     """
     settings = scene.facemime
     worker, options = session.worker, drive_settings(settings)
-    if session.drive_by != settings.drive_by:
-        session.drive_by = settings.drive_by
+    styles = _styles(session.heads)
+    if (session.drive_by, session.styles) != (settings.drive_by, styles):
+        session.drive_by, session.styles = settings.drive_by, styles
         heads = []
         for head, shown in zip(worker.heads, session.heads, strict=True):
-            keys = head.keys if shown.gone else keys_of(scene, shown.obj)
-            heads.append(replace(head, keys=keys))
+            keys, rig = head.keys, head.rig
             if not shown.gone:
+                keys, rig = keys_of(scene, shown.obj), replace(rig, style=read_style(shown.obj))
                 shown.drive_by(names_of(keys))
+            heads.append(replace(head, keys=keys, rig=rig))
         session.update(heads)
     session.keep = settings.keep_pose
     objects = [None if shown.gone else shown.obj for shown in session.heads]

@@ -34,6 +34,7 @@ PANELS = {
     "FACEMIME_PT_take_bake": f"{_TAKES}#baking",
     "FACEMIME_PT_strengths": f"{_TAKES}#baking",
     "FACEMIME_PT_key_map": f"{_TAKES}#key-mappings",
+    "FACEMIME_PT_teaching": f"{_TAKES}#teaching-a-head",
 }
 """Page of each panel with a header."""
 _MANUAL = (
@@ -43,6 +44,11 @@ _MANUAL = (
     ("bpy.ops.facemime.next_doubtful*", f"{_TAKES}#pins"),
     ("bpy.ops.facemime.learn_from_pins*", f"{_TAKES}#pins"),
     ("bpy.ops.facemime.take_from_animation*", f"{_TAKES}#takes-from-animation"),
+    ("bpy.ops.facemime.teach_frame*", f"{_TAKES}#teaching-a-head"),
+    ("bpy.ops.facemime.suggest_frames*", f"{_TAKES}#teaching-a-head"),
+    ("bpy.ops.facemime.remove_example*", f"{_TAKES}#teaching-a-head"),
+    ("bpy.ops.facemime.*_style*", f"{_TAKES}#teaching-a-head"),
+    ("bpy.types.facemimeexample*", f"{_TAKES}#teaching-a-head"),
     ("bpy.ops.facemime.*take*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_sound*", f"{_TAKES}#in-blender"),
     ("bpy.ops.facemime.add_reference*", f"{_TAKES}#in-blender"),

@@ -32,6 +32,8 @@ _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("facemime.import_take", "IMPORT"),
         ("facemime.export_take", "EXPORT"),
         ("facemime.show_take", "HIDE_OFF"),
+        ("facemime.suggest_frames", "VIEWZOOM"),
+        ("facemime.teach_frame", "ADD"),
         ("facemime.trim_take", "ARROW_LEFTRIGHT"),
         ("facemime.mend_take", "MODIFIER"),
         ("facemime.edit_landmarks", "EMPTY_AXIS"),

@@ -13,7 +13,10 @@ from ..operators.shared import required_subject, subject
 from .documentation import draw_link
 from .drawing import wrap
 
-_ORDER = ("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet", "takes")
+_ORDER = (
+    *("start", "head", "source", "calibration", "regions", "control_points", "expression", "puppet"),
+    *("takes", "teaching"),
+)
 """The panels in the tab, from top to bottom: the order of the workflow."""
 
 

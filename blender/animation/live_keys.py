@@ -8,22 +8,25 @@ sliders follow. The values before are kept in a custom property of the data-bloc
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.drive.teaching import TaughtKeys
 from ...core.errors import HeadError
 from ...core.heads.key_map import KeyMap
 from ...core.puppet.outputs import LiveKeys
 from ..characters import members_of
 from ..meshes import driven_by_keys, exists
 from ..names import VALUES_PROPERTY
+from ..styles import read_style
 from .aside import moving, restore, set_aside
 from .bake_keys import has_known_set, read_keys, value_path
 from .puppet import table_for
+from .resting import kept_values, resting_values
 
 AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
 
@@ -32,8 +35,9 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     """Return the shape keys that drive a head live, or None if its skin is driven.
 
     The choice is "AUTOMATIC", "SKIN" or "KEYS". "AUTOMATIC" takes the keys of a character that has a known set of them;
-    the built-in head's skin shows more. Without a key mapping, the preset that fits best is used. Raises HeadError if
-    keys were requested but the head has none, or no mapping matches them.
+    the built-in head's skin shows more. Without a key mapping, the preset that fits best is used. Keys that were taught
+    are added to those of the mapping. Raises HeadError if keys were requested but the head has none, or no mapping
+    matches them.
     """
     if driven_by_keys(obj) and choice == SKIN:
         raise HeadError(
@@ -44,10 +48,13 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     if choice == SKIN or (choice == AUTOMATIC and not has_known_set(obj)):
         return None
     chosen = table_for(obj, table)
-    keys = read_keys(members_of(obj))
+    members = members_of(obj)
+    keys = read_keys(members)
     used = [name for name in chosen.keys if name in keys.names]
-    offsets = dict(zip(keys.names, keys.offsets, strict=True))
-    return LiveKeys(chosen, {name: offsets[name] for name in used}, {name: keys.ranges[name] for name in used})
+    added = [name for name in TaughtKeys(read_style(obj)).names if name in keys.names and name not in used]
+    used += added
+    offsets, rest = dict(zip(keys.names, keys.offsets, strict=True)), resting_values(members, added)
+    return LiveKeys(chosen, {name: offsets[name] for name in used}, {name: keys.ranges[name] for name in used}, rest)
 
 
 def names_of(keys: LiveKeys | None) -> tuple[str, ...]:
@@ -104,15 +111,7 @@ class LiveValues:
 
 def clear_values(keys: bpy.types.Key) -> None:
     """Restore the values that shape keys had before a session, even one that ended in a crash."""
-    for name, value in _kept(keys).items():
+    for name, value in kept_values(keys).items():
         if (block := keys.key_blocks.get(name)) is not None:
             block.value = value
     keys.pop(VALUES_PROPERTY, None)
-
-
-def _kept(keys: bpy.types.Key) -> Mapping[str, float]:
-    try:
-        values = json.loads(str(keys.get(VALUES_PROPERTY, "{}")))
-    except ValueError:
-        return {}
-    return {name: value for name, value in values.items() if isinstance(value, (int, float))}

@@ -14,6 +14,7 @@ from ...core.bake.fit import MotionBasis, fit_basis, fit_keys, mix_errors
 from ...core.bake.point_cache import SUFFIX
 from ...core.bake.whole_frames import curves_at, motion_at, whole_frames
 from ...core.drive.driver import HeadMotion, drive_take
+from ...core.drive.teaching import TaughtKeys
 from ...core.errors import HeadError, Message, OutputError
 from ...core.heads.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
 from ...core.heads.rig import HeadRig
@@ -54,6 +55,7 @@ from .bake_report import PuppetReport
 from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
 from .refit import LastBake
+from .resting import resting_values
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .strengths import scaled
 from .targets import own_targets
@@ -88,7 +90,8 @@ def puppet_head(
     rig = _checked_rig(obj, targets, bake)
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
-    motion = drive_take(performance.driver(rig), take)
+    driver = performance.driver(rig)
+    motion = drive_take(driver, take)
     start = start_frame(scene, bake.start)
     unit, frames, shown = rig.eye_distance, *(frames_of(scene, times, start) for times in (motion.times, take.times))
     check_range(take, frames)
@@ -96,7 +99,9 @@ def puppet_head(
     if settings.bake.keys == AUTOMATIC and bake.keys == "named":
         add_missing_units(obj)
     if bake.keys == "mapped":
-        motion, plan = _mapped(obj, motion, timing, unit, bake, arkit_coefficients(take, neutral, settings.drive))
+        expressions = [driver.expression(take.result(int(frame))) for frame in np.flatnonzero(take.found)]
+        coefficients = arkit_coefficients(take, neutral, settings.drive)
+        motion, plan = _mapped(obj, rig, motion, timing, unit, bake, (coefficients, expressions))
     else:
         plan = _PLANS[bake.keys](obj, motion, timing, unit, bake)
     remove_baked(obj, targets)
@@ -279,15 +284,20 @@ def _named(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: flo
 
 def _mapped(
     obj: bpy.types.Object,
+    rig: HeadRig,
     motion: HeadMotion,
     timing: _Timing,
     unit: float,
     bake: BakeSettings,
-    coefficients: FloatArray,
+    performed: tuple[FloatArray, Sequence[FloatArray]],
 ) -> tuple[HeadMotion, _Plan]:
-    """Plan a bake by a mapping; the motion of a head that has no other is that of its keys."""
-    keys = read_keys(members_of(obj))
+    """Plan a bake by a mapping of what was `performed`: the coefficients (N, 52), and N expressions, which are
+    corrected as was taught. The motion of a head that has no other is that of its keys.
+    """
+    members, taught = members_of(obj), TaughtKeys(rig.style)
+    keys, (coefficients, expressions) = read_keys(members), performed
     values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
+    values = taught.corrected(values, expressions, keys.ranges, resting_values(members, taught.names))
     if not values:
         raise HeadError(
             "All shape keys of {name} in the key mapping are muted. Unmute them, or bake to something else.",

@@ -25,7 +25,7 @@ from .drive_settings import DriveSettings
 from .parts import PartDriver
 from .posing import EyeDriver, Jaw, limit_rotation, limit_vector
 from .retarget import retargeter_for
-from .teaching import TaughtVertices, edited_vertices, expression_of
+from .teaching import Expressions, TaughtVertices, edited_vertices
 
 _BY_DEFAULT = DriveSettings()
 
@@ -142,6 +142,7 @@ class HeadDriver:
         every = np.arange(len(self.rest))
         self._kept, others = (every, every[:0]) if self.parts is None else (self.parts.kept, self.parts.others)
         self.taught = TaughtVertices(rig.style, len(every), self._kept, others)
+        self._expressions = Expressions(self.neutral)
         self._jaw = Jaw(landmarks, rig.jaw_pivot)
         self._unit = outer_eye_distance(landmarks)
 
@@ -160,7 +161,7 @@ class HeadDriver:
         actions = np.zeros(N_ACTIONS)
         if not self.options.only_landmarks:
             actions = self.actions.activations(result.actions, result.shape)
-        taught = self.taught.weights(expression_of(result, self.neutral))
+        taught = self.taught.weights(self._expressions.of(result))
         gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
         jaw = self._jaw.rotation(displacements)
         eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
@@ -183,7 +184,7 @@ class HeadDriver:
 
     def expression(self, result: TrackResult) -> FloatArray:
         """Return the expression of a tracking result with a face, (213,), for which corrections are taught."""
-        return expression_of(self._mirrored(result), self.neutral)
+        return self._expressions.of(self._mirrored(result))
 
     def offsets(self, shown: HeadFrame, wanted: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the offsets, (A, 3), of an example that lets the head look as `wanted` (A, 3) in a frame.
@@ -191,7 +192,7 @@ class HeadDriver:
         Where that is what the frame shows already, the example keeps the present correction. Arrays are as in
         `HeadFrame`.
         """
-        edited = edited_vertices(wanted, shown.vertices, self._unit)
+        edited = self.edited(shown, wanted)
         offsets = np.zeros_like(shown.vertices)
         self.taught.move_others(offsets, shown.taught)
         base, kept = self._skin(shown.displacements, shown.actions), self._kept
@@ -203,6 +204,10 @@ class HeadDriver:
             others = self.parts.others[edited[self.parts.others]]
             offsets[others] = (wanted - self._posed(base + skin, shown.jaw, shown.gaze))[others]
         return offsets
+
+    def edited(self, shown: HeadFrame, wanted: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Return which vertices (A,) of a head that looks as `wanted` (A, 3) differ from those of a frame."""
+        return edited_vertices(wanted, shown.vertices, self._unit)
 
     def _mirrored(self, result: TrackResult) -> TrackResult:
         return mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HeadError
+from ..face.names import N_ACTIONS
 from ..heads.style import Example, Style
 from ..mesh.kernels import distances
 from ..numeric import linalg
@@ -37,17 +38,27 @@ _EDITED = 1e-5
 """Smallest change of a vertex that counts, as a share of the outer-eye distance: rounding of positions is below it."""
 _MAX_FRAMES = 1500
 """Largest number of frames among which examples are suggested."""
+_MAX_SPREAD = 2
+"""Number of vertices for each that moves up to which all are added as one slice, which is faster."""
+_SCALE = np.concatenate([TRUST, np.full(N_ACTIONS, _ACTION)])
 _Asked = Callable[[Example], bool]
 
 
-def expression_of(result: TrackResult, neutral: Neutral) -> FloatArray:
-    """Return the expression of a tracked frame, (213,), 0 at rest.
+class Expressions:
+    """Describes tracked frames of a performer as expressions, (213,), which are 0 at rest.
 
-    It contains the displacements of the landmarks without the pose, in outer-eye distances and weighted by how well a
+    They contain the displacements of the landmarks without the pose, in outer-eye distances and weighted by how well a
     camera shows them, and the actions above rest, of which NaN counts as 0.
     """
-    acted = np.nan_to_num(result.actions - np.nan_to_num(neutral.actions))
-    return np.concatenate([(result.shape - neutral.shape).ravel() * TRUST, _ACTION * acted])
+
+    def __init__(self, neutral: Neutral) -> None:
+        self._rest = _SCALE * np.concatenate([neutral.shape.ravel(), np.nan_to_num(neutral.actions)])
+
+    def of(self, result: TrackResult) -> FloatArray:
+        """Return the expression of a frame with a face."""
+        moved: FloatArray = np.concatenate([result.shape.ravel(), result.actions]) * _SCALE - self._rest
+        moved[np.isnan(moved)] = 0.0
+        return moved
 
 
 class Interpolation:
@@ -126,7 +137,7 @@ class TaughtVertices:
     """
 
     def __init__(self, style: Style, count: int, skin: IntArray, others: IntArray) -> None:
-        examples = counting(style.fitted_to(count, "this head"), lambda example: len(example.offsets) > 0)
+        examples = counting(style.fitted_to(count), lambda example: len(example.offsets) > 0)
         offsets = [np.float32(example.weight) * example.offsets for example in examples]
         every = np.array(offsets, dtype=np.float32).reshape(len(examples), count, 3)
         self._interpolation = Interpolation(_expressions(examples)) if examples else None
@@ -152,11 +163,14 @@ class _Moved:
 
     def __init__(self, modes: NDArray[np.float32], rows: IntArray) -> None:
         moved = np.flatnonzero(modes.any(axis=(0, 2)))
-        self._rows = rows[moved]
+        self._rows: IntArray | slice = rows[moved]
+        if len(moved) and np.ptp(self._rows) == np.ptp(moved) < _MAX_SPREAD * len(moved):
+            moved = np.arange(moved[0], moved[-1] + 1)
+            self._rows = slice(int(rows[moved[0]]), int(rows[moved[-1]]) + 1)
         self._modes = np.ascontiguousarray(modes[:, moved].reshape(len(modes), 3 * len(moved)))
 
     def add(self, vertices: NDArray[np.float32], weights: FloatArray) -> None:
-        if len(self._rows):
+        if self._modes.size:
             vertices[self._rows] += multiply(weights.astype(np.float32), self._modes).reshape(-1, 3)
 
 

@@ -53,7 +53,7 @@ class Example:
     performer : str
         Name of the performer, or of the take.
     expression : (213,) float64
-        As from `expression_of`.
+        As from `HeadDriver.expression`.
     offsets : (A, 3) float32
         Displacements of the vertices as in `HeadRig.all_vertices`: head frame, unit of the mesh. Those of other parts
         than the skin are added to the motion with which they follow it. Empty if the keys of a head were taught.
@@ -83,8 +83,8 @@ class Style:
 
     examples: tuple[Example, ...] = ()
 
-    def fitted_to(self, count: int, name: str) -> Style:
-        """Return the style for a head called `name` with `count` vertices.
+    def fitted_to(self, count: int) -> Style:
+        """Return the style for a head with `count` vertices.
 
         Examples of another mesh keep only their shape keys; raises HeadError if they have none.
         """
@@ -96,11 +96,10 @@ class Style:
                 fitting.append(replace(example, offsets=_no_offsets()))
             else:
                 raise HeadError(
-                    "The example {example} was taught on a mesh with {taught} vertices, but {name} has {count}. "
+                    "The example {example} was taught on a mesh with {taught} vertices, but this head has {count}. "
                     "Use it on that mesh, or remove it.",
                     example=example.name,
                     taught=len(example.offsets),
-                    name=name,
                     count=count,
                 )
         return Style(tuple(fitting))

@@ -54,7 +54,9 @@ def encode_frame(
     parts = [_FRAME_HEADER.pack(FRAME, len(frames), scene & 0xFFFF, number & 0xFFFFFFFF, taken)]
     for model, frame in zip(models, frames, strict=False):
         moved = frame.displacements / model.unit if model.landmarks else np.empty(0)
-        amounts = frame.keys if len(frame.keys) else frame.actions[: model.amounts]
+        amounts = frame.keys
+        if not len(amounts):
+            amounts = np.concatenate([frame.actions[: model.amounts - len(frame.taught)], frame.taught])
         body = _pose(frame, follow) + _shorts(moved, _STEP) + _shorts(amounts, _AMOUNT_STEP)
         parts += [body, b"\0" * (-len(body) % 4)]
     return b"".join(parts)

@@ -51,7 +51,7 @@ class ViewerModel:
     landmarks : int
         Number of displacements per frame: 66, or 0 for a head that is driven by shape keys.
     amounts : int
-        Number of activations, or of values of keys, per frame.
+        Number of activations and of weights of examples, or of values of keys, per frame.
     """
 
     data: bytes
@@ -123,10 +123,12 @@ def _skin_of(head: HeadDriver) -> dict[str, NDArray[np.generic]]:
     rest = head.deformer.rest
     weights = np.zeros((len(rest), -(-N_LANDMARKS // 4) * 4), dtype=np.float16)
     weights[:, :N_LANDMARKS] = head.deformer.matrix()
-    modes = np.zeros((len(rest), 0 if head.modes is None else len(head.modes), 4), dtype=np.float16)
-    planar = head.options.mode == "planar"
+    planar, taught = head.options.mode == "planar", head.taught.modes
+    actions = 0 if head.modes is None else len(head.modes)
+    modes = np.zeros((len(rest), actions + len(taught), 4), dtype=np.float16)
     if head.modes is not None:
-        modes[..., : 2 if planar else 3] = np.moveaxis(head.modes, 0, 1)[..., : 2 if planar else 3]
+        modes[:, :actions, : 2 if planar else 3] = np.moveaxis(head.modes, 0, 1)[..., : 2 if planar else 3]
+    modes[:, actions:, :3] = np.moveaxis(taught, 0, 1)
     touching = head.options.contact and not planar
     spheres = head.contact.spheres(len(rest)) if touching else np.zeros((len(rest), 4), dtype=np.float32)
     return {"skin": rest, "spheres": spheres, "weights": weights, "modes": modes}

@@ -1,0 +1,108 @@
+"""Teaching a head by frames of the take that it shows, and the frames for which that would help most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ..blender.animation.live import LiveHeadObject
+from ..blender.animation.live_keys import names_of
+from ..blender.animation.taught import edited_keys, edited_shape, reset_keys
+from ..blender.styles import read_style, write_example
+from ..blender.timeline import frames_of
+from ..core.drive.driver import HeadFrame
+from ..core.drive.teaching import doubts_of, require_expression, same_expression, suggest_frames, taught_keys
+from ..core.errors import HeadError, Message
+from ..core.heads.style import Example
+from ..core.heads.thumbnail import thumbnail
+from ..core.numeric.arrays import FloatArray
+from ..core.puppet.outputs import KeyDriver
+from ..settings.performers import selected_performer
+from .show import TakeShow, head_driver
+
+
+def shown_head(show: TakeShow, obj: bpy.types.Object | None) -> int:
+    """Return the number of `obj` among the heads that show a take, or that of the only one.
+
+    Raises HeadError if it is not clear which is meant.
+    """
+    living = [number for number, shown in enumerate(show.heads) if not shown.gone]
+    found = [number for number in living if show.heads[number].obj == obj] or living
+    if len(found) != 1:
+        raise HeadError("Several heads show the take. Make the one that you mean active.")
+    return found[0]
+
+
+def teach(show: TakeShow, scene: bpy.types.Scene, number: int) -> list[str]:
+    """Teach a head, by its number, that in the current frame it should look as it does.
+
+    The user's changes are then taken back, as the head shows them by itself. Returns the names of shape keys for which
+    that is not possible, as drivers move them. Raises HeadError if the head looks as the take shows it, or is at rest.
+    """
+    bpy.context.view_layer.update()
+    shown, frame = show.heads[number], show.frames[number]
+    if frame is None:
+        raise HeadError("The head does not show the take yet. Go to another frame and back.")
+    example = _example(show, scene, number, frame)
+    stored = read_style(shown.obj)
+    write_example(shown.obj, example, same_expression(stored, example.expression))
+    left = reset_keys(shown.obj, shown.keys, show.before.get(shown.obj.name, {}))
+    show.follow(scene)
+    return left
+
+
+def _example(show: TakeShow, scene: bpy.types.Scene, number: int, frame: HeadFrame) -> Example:
+    shown, driver, result = show.heads[number], show.drivers[number], show.result(scene)
+    posed = head_driver(driver)
+    expression = posed.expression(result)
+    require_expression(expression)
+    performer = selected_performer(scene.facemime)
+    example = Example(
+        name=Message("Frame {frame}", frame=scene.frame_current),
+        performer=str(show.performance.take.info.get("source", "")) if performer is None else performer.name,
+        expression=expression,
+    )
+    if isinstance(driver, KeyDriver):
+        changed, vertices = _keys(show, shown, driver, frame, expression)
+        return replace(example, keys=changed, thumbnail=thumbnail(posed.rig, vertices))
+    wanted = edited_shape(shown.obj, frame, show.before.get(shown.obj.name, {}))
+    if not posed.edited(frame, wanted).any():
+        raise _unchanged(shown.obj)
+    return replace(example, offsets=posed.offsets(frame, wanted), thumbnail=thumbnail(posed.rig, wanted))
+
+
+def _keys(
+    show: TakeShow, shown: LiveHeadObject, driver: KeyDriver, frame: HeadFrame, expression: FloatArray
+) -> tuple[dict[str, float], NDArray[np.float32]]:
+    """Return the changes of keys to teach, and the vertices with them."""
+    names = names_of(driver.keys)
+    values = dict(zip(names, frame.keys.tolist(), strict=True))
+    old, new = edited_keys(shown.obj, values, show.before.get(shown.obj.name, {}))
+    if not new:
+        raise _unchanged(shown.obj)
+    every = {**values, **old}
+    vertices = np.array(frame.vertices)
+    for name in new.keys() & driver.keys.offsets.keys():
+        vertices += np.float32(new[name] - old[name]) * driver.keys.offsets[name]
+    return taught_keys(every, every | new, driver.taught.changes(expression)), vertices
+
+
+def _unchanged(obj: bpy.types.Object) -> HeadError:
+    return HeadError(
+        "{name} looks as the take shows it. Change its shape keys, or sculpt it, and then teach the frame. Make "
+        "Expression Keys adds shape keys to a head without any.",
+        name=obj.name,
+    )
+
+
+def suggested_frames(show: TakeShow, scene: bpy.types.Scene, number: int, count: int) -> list[int]:
+    """Return the frames of a scene in which teaching a head, by its number, would help most, in order of time."""
+    take, driver = show.performance.take, head_driver(show.drivers[number])
+    found = np.flatnonzero(take.found)
+    expressions = np.array([driver.expression(take.result(int(frame))) for frame in found])
+    taught = [example.expression for example in driver.rig.style.examples if not example.muted]
+    rows = found[suggest_frames(expressions, doubts_of(take, found), taught, count)]
+    return sorted({round(float(frame)) for frame in frames_of(scene, take.times[rows], show.start)})
