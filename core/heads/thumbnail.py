@@ -33,7 +33,7 @@ def thumbnail(rig: HeadRig, vertices: NDArray[np.float32]) -> bytes:
     middle = points.mean(axis=0)[:2]
 
     def pixels(places: FloatArray) -> NDArray[np.int32]:
-        return np.rint(((places[..., :2] - middle) * scale + SIDE / 2) * 2**_SHIFT).astype(np.int32)
+        return np.asarray(np.rint(((places[..., :2] - middle) * scale + SIDE / 2) * 2**_SHIFT), dtype=np.int32)
 
     for *centre, radius in eyes:
         place = pixels(np.array(centre)).tolist()
