@@ -162,7 +162,10 @@ class Namer:
     """Names the clips of a job by their file name and a checksum of everything that decides the result."""
 
     def __init__(self, job: PuppetJob) -> None:
-        files = {"head": None if job.head is None else job.head.path, "points": job.points, "map": job.map}
+        files = {
+            **{"head": None if job.head is None else job.head.path, "points": job.points},
+            **{"map": job.map, "style": job.style},
+        }
         decides = {
             "settings": asdict(job.settings),
             "face": job.face,

@@ -21,6 +21,8 @@ from ..blender.heads.new_heads import add_head
 from ..blender.meshes import mesh_of, write_selection
 from ..blender.preview_scene import FaceView, face_view, setup_preview
 from ..blender.rendering import render_frames, set_rate, without_subdivision, write_video
+from ..blender.rigs import read_rig
+from ..blender.styles import add_style
 from ..blender.timeline import frames_of
 from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
 from ..core.control_points.greedy import GreedySelection
@@ -30,6 +32,7 @@ from ..core.errors import OutputError, SourceError
 from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
 from ..core.files.reading import read_text
 from ..core.heads.key_map import ESSENTIAL, load_map
+from ..core.heads.style import Style, load_style
 from ..core.puppet.job import PuppetJob
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.takes.take import Take
@@ -57,17 +60,20 @@ class Stage:
 
 
 def open_stage(job: PuppetJob) -> Stage:
-    """Open the head of `job`, by default the built-in one in a new file, with its control points.
+    """Open the head of `job`, by default the built-in one in a new file, with its control points and its style.
 
     The built-in head has its face units as shape keys if the bake uses existing keys. Raises FacemimeError if a file
     cannot be read, the object does not exist, none or several have landmarks, or the head cannot be driven or baked.
     """
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
+    style = None if job.style is None else _style(job.style)
     by_keys = {"mapped": frozenset(), AUTOMATIC: ESSENTIAL}.get(settings.bake.keys)
     head = _built_in(settings.bake) if job.head is None else open_head(job.head, by_keys=by_keys)
     if points is not None:
         write_selection(mesh_of(head), points)
+    if style is not None:
+        add_style(head, style, len(read_rig(head).all_vertices))
     check_heads([head], settings.bake)
     return Stage(scene_of(head), head, settings)
 
@@ -139,6 +145,11 @@ def _points(path: Path) -> GreedySelection:
         raise SourceError(
             "{path} cannot be read ({error}). Use a file that facemime select -o wrote.", path=path, error=error
         ) from error
+
+
+def _style(path: Path) -> Style:
+    check_readable(path)
+    return load_style(path)
 
 
 def _built_in(bake: BakeSettings) -> bpy.types.Object:

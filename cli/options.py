@@ -145,6 +145,9 @@ def add_puppet_options(parser: argparse.ArgumentParser) -> None:
         "--head", type=head_file, metavar="FILE[:OBJECT]", help="your own head, as for bind (the built-in head)"
     )
     parser.add_argument("--points", type=_path, metavar="POINTS.json", help="control points, from select")
+    parser.add_argument(
+        "--style", type=_path, metavar="FILE.facestyle", help="examples by which the head is corrected, from Save Style"
+    )
     how = parser.add_argument_group("motion of the head")
     how.add_argument(
         "--pose", choices=tuple(_POSES), default="rotation", help="how much of the head's pose to follow (rotation)"
@@ -293,7 +296,7 @@ def as_options(job: PuppetJob) -> list[str]:
     if job.head is not None:
         head = os.path.abspath(job.head.path)
         line += ["--head", f"{head}:{job.head.name}" if job.head.name else head]
-    for name, path in (("points", job.points), ("map", job.map)):
+    for name, path in (("points", job.points), ("map", job.map), ("style", job.style)):
         if path is not None:
             line += [_flag(name), os.path.abspath(path)]
     followed = tuple(getattr(job.settings, name) for name in _FOLLOWED)

@@ -80,7 +80,7 @@ class FACEMIME_OT_suggest_frames(OnShownTake, bpy.types.Operator):
         frame = next((frame for frame in frames if frame > current), frames[0])
         context.scene.frame_set(frame)
         place, count = frames.index(frame) + 1, len(frames)
-        report(self, "Frame {frame}, the {place}. of {count} suggested", frame=frame, place=place, count=count)
+        report(self, "Frame {frame}: suggestion {place} of {count}", frame=frame, place=place, count=count)
 
 
 class FACEMIME_OT_remove_example(ReportsErrors, bpy.types.Operator):

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_keys import names_of
 from ..blender.animation.taught import edited_keys, edited_shape, reset_keys
+from ..blender.messages import displayable
 from ..blender.styles import read_style, write_example
 from ..blender.timeline import frames_of
 from ..core.drive.driver import HeadFrame
@@ -61,7 +62,7 @@ def _example(show: TakeShow, scene: bpy.types.Scene, number: int, frame: HeadFra
     require_expression(expression)
     performer = selected_performer(scene.facemime)
     example = Example(
-        name=Message("Frame {frame}", frame=scene.frame_current),
+        name=displayable(Message("Frame {frame}", frame=scene.frame_current)),
         performer=str(show.performance.take.info.get("source", "")) if performer is None else performer.name,
         expression=expression,
     )

@@ -32,8 +32,6 @@ _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("facemime.import_take", "IMPORT"),
         ("facemime.export_take", "EXPORT"),
         ("facemime.show_take", "HIDE_OFF"),
-        ("facemime.suggest_frames", "VIEWZOOM"),
-        ("facemime.teach_frame", "ADD"),
         ("facemime.trim_take", "ARROW_LEFTRIGHT"),
         ("facemime.mend_take", "MODIFIER"),
         ("facemime.edit_landmarks", "EMPTY_AXIS"),
@@ -60,7 +58,11 @@ _SUBMENUS: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("FACEMIME_MT_presets", "PRESET"),
         ("FACEMIME_MT_viewer", "WORLD"),
     ),
-    (("FACEMIME_MT_takes", "COLLAPSEMENU"), ("FACEMIME_MT_key_mapping", "SHAPEKEY_DATA")),
+    (
+        ("FACEMIME_MT_takes", "COLLAPSEMENU"),
+        ("FACEMIME_MT_key_mapping", "SHAPEKEY_DATA"),
+        ("FACEMIME_MT_teaching", "BOOKMARKS"),
+    ),
     (
         ("FACEMIME_MT_landmarks", "CON_TRACKTO"),
         ("FACEMIME_MT_regions", "GROUP_VERTEX"),
@@ -155,6 +157,19 @@ class FACEMIME_MT_key_mapping(_ListsEntries, bpy.types.Menu):
         _Entry("facemime.mute_others", "MUTE_IPO_ON"),
         _Entry("facemime.add_corrections", "NLA_PUSHDOWN"),
         _Entry("facemime.remove_corrections", "X"),
+    )
+
+
+class FACEMIME_MT_teaching(_ListsEntries, bpy.types.Menu):
+    """Teach the selected head by examples of how it should look"""
+
+    bl_label = "Teaching"
+    entries = (
+        _Entry("facemime.suggest_frames", "VIEWZOOM"),
+        _Entry("facemime.teach_frame", "ADD"),
+        _Entry("facemime.remove_example", "REMOVE"),
+        _Entry("facemime.load_style", "IMPORT"),
+        _Entry("facemime.save_style", "EXPORT"),
     )
 
 

@@ -47,6 +47,8 @@ class PuppetJob:
         The head; by default the built-in one.
     points, map : Path, optional
         Files with control points, and with the key mapping for "mapped" keys.
+    style : Path, optional
+        File with examples, which are added to those of the head.
     preview, sheet, gltf, take : Path, optional
         Further files to write: a video of performer and avatar, a contact sheet, the animated head as glTF, and the
         take.
@@ -59,6 +61,7 @@ class PuppetJob:
     head: HeadFile | None = None
     points: Path | None = None
     map: Path | None = None
+    style: Path | None = None
     preview: Path | None = None
     sheet: Path | None = None
     gltf: Path | None = None
@@ -77,6 +80,7 @@ class PuppetJob:
             "the file of the head": None if self.head is None else self.head.path,
             "the file of the control points": self.points,
             "the key mapping": self.map,
+            "the style": self.style,
         }
 
     @property

@@ -97,11 +97,11 @@ def test_an_unchanged_frame_and_a_face_at_rest_are_refused_with_what_to_do(impor
     assert not bpy.ops.facemime.teach_frame.poll()
     bpy.ops.facemime.show_take()
     bpy.context.scene.frame_set(EXPRESSION)
-    with pytest.raises(RuntimeError, match="looks as the take shows it.*Make Expression Keys"):
+    with pytest.raises(RuntimeError, match=r"looks as the take shows it.*Make Expression Keys"):
         bpy.ops.facemime.teach_frame()
     bpy.context.scene.frame_set(5)
     slider(head, LIVE_KEY).points[0].co.z += 0.1
-    with pytest.raises(RuntimeError, match="at rest in this frame"):
+    with pytest.raises(RuntimeError, match=r"at rest in this frame"):
         bpy.ops.facemime.teach_frame()
     assert not len(head.facemime.examples)
 
@@ -236,7 +236,7 @@ def test_suggested_frames_are_visited_in_turn_and_not_once_they_are_taught(impor
     for _ in range(4):
         bpy.ops.facemime.suggest_frames(count=3)
         visited.append(scene.frame_current)
-    assert len(set(visited[:3])) == 3 and visited[3] == visited[0] and "of 3 suggested" in capfd.readouterr().out
+    assert len(set(visited[:3])) == 3 and visited[3] == visited[0] and "of 3" in capfd.readouterr().out
     slider(head, "jawOpen").value = 0.5
     bpy.ops.facemime.teach_frame()
     for _ in range(4):

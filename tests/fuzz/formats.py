@@ -9,7 +9,7 @@ import io
 import json
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from random import Random
@@ -23,7 +23,9 @@ from facemime.core.control_points import select as control_points
 from facemime.core.control_points.greedy import GreedySelection, GreedyStep
 from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
 from facemime.core.deform.covariance import follow_matrix
+from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
+from facemime.core.drive.teaching import TaughtKeys
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.files.capture import VideoSource, read_image
 from facemime.core.files.reading import parse_json
@@ -33,6 +35,8 @@ from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas
 from facemime.core.heads.rig import built_in_head
+from facemime.core.heads.style import Example, Style, load_style, style_bytes
+from facemime.core.heads.thumbnail import pixels_of, thumbnail
 from facemime.core.mesh.kernels import get_kernel
 from facemime.core.puppet import presets
 from facemime.core.takes.neutral import Neutral, calibrate
@@ -314,7 +318,37 @@ def _read_video(path: Path) -> None:
                 break
 
 
+@cache
+def _style_arrays() -> Arrays:
+    """Arrays of the file of a style, by name."""
+    rig, result = built_in_head(), performance().result(45)
+    driver = HeadDriver(rig, _neutral())
+    shown = driver.frame(result)
+    offsets = np.zeros_like(shown.vertices)
+    offsets[:50] = 0.01
+    example = Example("Smile", "Anna", driver.expression(result), offsets, {"mouthSmileLeft": 0.4}, 0.5)
+    pictured = replace(example, thumbnail=thumbnail(rig, shown.vertices))
+    with np.load(io.BytesIO(style_bytes(Style((pictured, example))))) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+def _read_style(path: Path) -> None:
+    style = load_style(path)
+    result = performance().result(45)
+    driver = HeadDriver(replace(built_in_head(), style=style), _neutral())
+    assert np.isfinite(driver.frame(result).vertices).all()
+    TaughtKeys(style).changes(driver.expression(result))
+    for example in style.examples:
+        pixels_of(example.thumbnail)
+
+
 FORMATS: dict[str, Format] = {
+    "style": Format(
+        ".facestyle",
+        lambda: archive_bytes({f"{name}.npy": npy_bytes(array) for name, array in _style_arrays().items()}),
+        lambda rng: mutated_archive(rng, _style_arrays()),
+        _read_style,
+    ),
     "head": Format(
         ".npz",
         lambda: archive_bytes({f"{name}.npy": npy_bytes(array) for name, array in _head_arrays().items()}),
