@@ -119,9 +119,9 @@ def style_bytes(style: Style) -> bytes:
     ]
     arrays: dict[str, Any] = {
         "style": np.array(json.dumps({"format": _FORMAT, "examples": described}, ensure_ascii=False)),
-        "expressions": np.array([example.expression for example in style.examples]).reshape(-1, N_FEATURES),
     }
     for number, example in enumerate(style.examples):
+        arrays[f"expression_{number}"] = np.asarray(example.expression, dtype=np.float64)
         arrays[f"offsets_{number}"] = np.asarray(example.offsets, dtype=np.float32)
         arrays[f"thumbnail_{number}"] = np.frombuffer(example.thumbnail, dtype=np.uint8)
     buffer = io.BytesIO()
@@ -133,22 +133,20 @@ def style_of(data: bytes) -> Style:
     """Parse what `style_bytes` returns; raises ValueError if it is anything else."""
     archive = read_archive(data, _MAX_BYTES)
     described = as_list(parse_format(archive.text("style"), _FORMAT).get("examples"), "examples", MAX_EXAMPLES)
-    expressions = _within(archive.floats("expressions", (len(described), N_FEATURES)), "expressions", _MAX_VALUE)
-    rows = enumerate(zip(described, expressions, strict=True))
-    return Style(tuple(_example(as_object(row, "an example"), number, at, archive) for number, (row, at) in rows))
+    return Style(tuple(_example(as_object(row, "an example"), number, archive) for number, row in enumerate(described)))
 
 
-def _example(row: dict[str, Any], number: int, expression: FloatArray, archive: Archive) -> Example:
+def _example(row: dict[str, Any], number: int, archive: Archive) -> Example:
     keys = as_object(row.get("keys"), "keys")
     if len(keys) > _MAX_KEYS:
         raise DataError("there are {keys} shape keys, more than {max_keys}", keys=len(keys), max_keys=_MAX_KEYS)
     if not isinstance(muted := row.get("muted"), bool):
         raise DataError("muted is not true or false")
-    offsets = _within(archive.floats(f"offsets_{number}", (None, 3), np.float32), "offsets", _MAX_OFFSET)
+    offsets = _within(archive.floats(f"offsets_{number}", (None, 3), np.float32), "an offset", _MAX_OFFSET)
     return Example(
         name=as_text(row.get("name"), "the name of an example"),
         performer=as_text(row.get("performer"), "the performer"),
-        expression=expression,
+        expression=_within(archive.floats(f"expression_{number}", (N_FEATURES,)), "an expression", _MAX_VALUE),
         offsets=np.asarray(offsets, dtype=np.float32),
         keys={
             as_text(name, "a key"): as_number(value, "a key", -_MAX_VALUE, _MAX_VALUE) for name, value in keys.items()
