@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-coefficients bench-teaching bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -171,6 +171,11 @@ bench-correct: setup
 bench-coefficients: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.coefficients --json build/bench/coefficients.json
+
+# Styles of other artists, taught by examples; needs ../shared/data.
+bench-teaching: setup
+	mkdir -p build/bench
+	$(BIN)/python -m lab.bench.teaching $(CLIPS)/clips $(STRANGERS) --json build/bench/teaching.json
 
 # Streams between two network namespaces, which needs root; eight minutes, including interruptions of one minute.
 bench-remote: setup
