@@ -60,7 +60,13 @@ def attach_all() -> None:
     attached = {part for head in heads_with_parts() for part in parts_of(head).values()}
     for obj in bpy.data.objects:
         head = obj.parent if PART_PROPERTY in obj and obj not in attached else None  # the user may have rigged them
-        if head is not None and head.type == "MESH" and _is_local(head) and _is_local(obj) and PARTS_PROPERTY not in head:
+        if (
+            head is not None
+            and head.type == "MESH"
+            and _is_local(head)
+            and _is_local(obj)
+            and PARTS_PROPERTY not in head
+        ):
             found.setdefault(head, {})[str(obj[PART_PROPERTY])] = obj
     for head, parts in found.items():
         attach(head, parts)
