@@ -14,6 +14,8 @@ import bpy
 
 from ..core.errors import HeadError, SourceError
 from ..core.heads.style import MAX_EXAMPLES, Example, Style, style_bytes, style_of
+from .characters import members_of
+from .meshes import key_names
 
 
 def read_style(obj: bpy.types.Object) -> Style:
@@ -64,9 +66,10 @@ def write_example(obj: bpy.types.Object, example: Example, place: int | None = N
 def add_style(obj: bpy.types.Object, style: Style, count: int) -> None:
     """Add examples to those of a head with `count` vertices.
 
-    Raises HeadError if one was taught on another mesh and has no shape keys, or as `write_example`.
+    Raises HeadError if one was taught on another mesh and by no shape key of this head, or as `write_example`.
     """
-    for example in style.fitted_to(count).examples:
+    names = [name for member in members_of(obj) for name in key_names(member.obj)]
+    for example in style.fitted_to(count, names).examples:
         write_example(obj, example)
 
 

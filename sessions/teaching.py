@@ -15,7 +15,14 @@ from ..blender.messages import displayable
 from ..blender.styles import read_style, write_example
 from ..blender.timeline import frames_of
 from ..core.drive.driver import HeadFrame
-from ..core.drive.teaching import doubts_of, require_expression, same_expression, suggest_frames, taught_keys
+from ..core.drive.teaching import (
+    TaughtKeys,
+    doubts_of,
+    require_expression,
+    same_expression,
+    suggest_frames,
+    taught_keys,
+)
 from ..core.errors import HeadError, Message
 from ..core.heads.style import Example
 from ..core.heads.thumbnail import thumbnail
@@ -72,7 +79,15 @@ def _example(show: TakeShow, scene: bpy.types.Scene, number: int, frame: HeadFra
     wanted = edited_shape(shown.obj, frame, show.before.get(shown.obj.name, {}))
     if not posed.edited(frame, wanted).any():
         raise _unchanged(shown.obj)
-    return replace(example, offsets=posed.offsets(frame, wanted), thumbnail=thumbnail(posed.rig, wanted))
+    old, new = edited_keys(shown.obj, {}, show.before.get(shown.obj.name, {}))
+    before = TaughtKeys(posed.rig.style).changes(expression)
+    every = {**dict.fromkeys(before, 0.0), **old}
+    return replace(
+        example,
+        offsets=posed.offsets(frame, wanted),
+        keys=taught_keys(every, every | new, before),  # for bakes by a mapping
+        thumbnail=thumbnail(posed.rig, wanted),
+    )
 
 
 def _keys(

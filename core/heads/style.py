@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -56,9 +56,9 @@ class Example:
         As from `HeadDriver.expression`.
     offsets : (A, 3) float32
         Displacements of the vertices as in `HeadRig.all_vertices`: head frame, unit of the mesh. Those of other parts
-        than the skin are added to the motion with which they follow it. Empty if the keys of a head were taught.
+        than the skin are added to the motion with which they follow it. Empty if a head was taught that its keys drive.
     keys : mapping of str to float
-        Changes of the values of shape keys, for a head that its keys drive.
+        Changes of the values of shape keys, for a head that its keys drive; empty if none was changed.
     weight : float
         Factor of the offsets, 0 to 2.
     muted : bool
@@ -83,16 +83,16 @@ class Style:
 
     examples: tuple[Example, ...] = ()
 
-    def fitted_to(self, count: int) -> Style:
-        """Return the style for a head with `count` vertices.
+    def fitted_to(self, count: int, keys: Collection[str] | None = None) -> Style:
+        """Return the style for a head with `count` vertices and certain shape keys; None if these are not known.
 
-        Examples of another mesh keep only their shape keys; raises HeadError if they have none.
+        Examples of another mesh keep only their shape keys; raises HeadError if the head has none of them.
         """
         fitting = []
         for example in self.examples:
             if len(example.offsets) in (0, count):
                 fitting.append(example)
-            elif example.keys:
+            elif any(keys is None or name in keys for name in example.keys):
                 fitting.append(replace(example, offsets=_no_offsets()))
             else:
                 raise HeadError(

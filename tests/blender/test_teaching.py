@@ -242,3 +242,19 @@ def test_suggested_frames_are_visited_in_turn_and_not_once_they_are_taught(impor
     for _ in range(4):
         bpy.ops.facemime.suggest_frames(count=3)
         assert scene.frame_current != visited[0]
+
+
+def test_a_bake_by_a_mapping_contains_what_was_taught_by_sliders_on_the_skin(imported):
+    head = taught()
+    bpy.ops.facemime.show_take()
+    bake = bpy.context.scene.facemime_takes.bake
+    bake.keys = "mapped"
+
+    def baked() -> float:
+        assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+        bpy.context.scene.frame_set(EXPRESSION)
+        return slider(head, "mouthSmileLeft").value
+
+    corrected = baked()
+    head.facemime.examples[0].mute = True
+    assert corrected - baked() == pytest.approx(0.8, abs=0.05)

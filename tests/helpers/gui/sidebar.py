@@ -186,10 +186,10 @@ class Sidebar:
                 self._box = step - 0.6
                 return
 
-    def scroll_down(self) -> None:
-        """Scroll to the end of the tab by the wheel; `open_panel` scrolls back."""
+    def scroll_down(self, steps: int = 60) -> None:
+        """Scroll by steps of the wheel, by default to the end of the tab; `open_panel` scrolls back."""
         box = self.box()
-        self.blender.input("mousemove", box.x + 60, box.y + 300, "click", "--repeat", 60, "--delay", 5, 5)
+        self.blender.input("mousemove", box.x + 60, box.y + 300, "click", "--repeat", steps, "--delay", 5, 5)
         self.blender.redraw()
 
     def open_presets(self) -> None:
