@@ -4,7 +4,7 @@ import atexit
 
 import bpy
 
-from .blender import messages
+from .blender import messages, style_properties
 from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
 from .cli import entry
@@ -35,7 +35,6 @@ from .settings import (
     properties,
     storage,
     takes_properties,
-    teaching_properties,
 )
 from .ui import control_points as control_points_panel
 from .ui import documentation, landmark_editor, menus, overlays, status
@@ -49,7 +48,7 @@ from .ui import teaching as teaching_panel
 _MODULES = (
     messages,
     preferences,
-    teaching_properties,
+    style_properties,
     properties,
     panel_properties,
     performers,

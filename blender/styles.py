@@ -47,7 +47,7 @@ def write_example(obj: bpy.types.Object, example: Example, place: int | None = N
     Raises HeadError if the object is linked from another file, or has too many examples.
     """
     _require_own(obj)
-    group = _group(obj)
+    group = style_group(obj)
     if place is None and len(group.examples) >= MAX_EXAMPLES:
         raise HeadError(
             "{name} has {count} examples already, which is the largest number. Remove one first.",
@@ -76,18 +76,18 @@ def add_style(obj: bpy.types.Object, style: Style, count: int) -> None:
 def remove_example(obj: bpy.types.Object, place: int) -> None:
     """Remove an example of a head; raises HeadError if the object is linked from another file."""
     _require_own(obj)
-    group = _group(obj)
+    group = style_group(obj)
     group.examples.remove(place)
     group.example = max(0, min(place, len(group.examples) - 1))
 
 
 def _items(obj: bpy.types.Object) -> Sequence[Any]:
-    return getattr(_group(obj), "examples", ())
+    return getattr(style_group(obj), "examples", ())
 
 
-def _group(obj: bpy.types.Object) -> Any:
-    """Return the settings of a head; None if the extension is not registered."""
-    return getattr(obj, "facemime", None)
+def style_group(obj: bpy.types.Object) -> Any:
+    """Return the properties of a head with its examples, a `FacemimeStyle`; None if they are not registered."""
+    return getattr(obj, "facemime_style", None)
 
 
 @lru_cache(maxsize=2 * MAX_EXAMPLES)

@@ -7,7 +7,7 @@ from bpy.props import IntProperty, StringProperty
 
 from ..blender.meshes import can_be_driven
 from ..blender.rigs import read_rig
-from ..blender.styles import add_style, read_style, remove_example
+from ..blender.styles import add_style, read_style, remove_example, style_group
 from ..core.heads.style import SUFFIX, load_style, save_style
 from ..sessions.show import TakeShow
 from ..sessions.teaching import shown_head, suggested_frames, teach
@@ -33,7 +33,7 @@ def require_shown_take(operator: type[bpy.types.Operator], context: bpy.types.Co
 def require_example(operator: type[bpy.types.Operator], context: bpy.types.Context) -> bool:
     """Require a head with examples, as `require` does."""
     obj = subject(context)
-    known = obj is not None and can_be_driven(obj) and len(obj.facemime.examples) > 0
+    known = obj is not None and can_be_driven(obj) and len(style_group(obj).examples) > 0
     return require(operator, known, "Teach the head a frame first, or load a style")
 
 
@@ -57,7 +57,7 @@ class FACEMIME_OT_teach_frame(OnShownTake, bpy.types.Operator):
             names = ", ".join(left)
             report(self, "Drivers move {names}. Return what drives them to rest yourself.", "WARNING", names=names)
         head = show.heads[number].obj
-        report(self, "{name} has {count} examples", name=head.name, count=len(head.facemime.examples))
+        report(self, "{name} has {count} examples", name=head.name, count=len(style_group(head).examples))
 
 
 class FACEMIME_OT_suggest_frames(OnShownTake, bpy.types.Operator):
@@ -92,8 +92,8 @@ class FACEMIME_OT_remove_example(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         head = required_subject(context)
-        if head.facemime.example < len(head.facemime.examples):
-            remove_example(head, head.facemime.example)
+        if (style := style_group(head)).example < len(style.examples):
+            remove_example(head, style.example)
 
 
 class FACEMIME_OT_save_style(AsksForFileToWrite, bpy.types.Operator):

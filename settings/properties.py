@@ -27,7 +27,6 @@ from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import PORT
 from .rna import with_settings
 from .storage import private_folder
-from .teaching_properties import FacemimeExample
 
 if TYPE_CHECKING:
     from ..core.streams.transport.tls_server import TlsSender
@@ -130,8 +129,6 @@ class FacemimeHead(bpy.types.PropertyGroup):
         min=0,
         max=99,
     )
-    examples: CollectionProperty(type=FacemimeExample)
-    example: IntProperty(name="Example", min=0)
 
 
 @with_settings(SendSettings)

@@ -28,7 +28,7 @@ _NOT_SHOWN = {"WINDOW", "Facemime", "3D View"}
 
 def sources() -> list[Path]:
     """Return the modules with texts that Blender looks up."""
-    return _modules("operators/*.py", "ui/*.py", "settings/*.py", "core/*/*settings.py")
+    return _modules("operators/*.py", "ui/*.py", "settings/*.py", "blender/*properties.py", "core/*/*settings.py")
 
 
 def message_sources() -> list[Path]:

@@ -10,12 +10,12 @@ import numpy as np
 
 from ..blender.meshes import can_be_driven
 from ..blender.stubs import Icon
-from ..blender.styles import read_example
+from ..blender.style_properties import FacemimeExample
+from ..blender.styles import read_example, style_group
 from ..core.errors import SourceError
 from ..core.heads.thumbnail import SIDE, pixels_of
 from ..operators.shared import subject
 from ..sessions.show import TakeShow
-from ..settings.teaching_properties import FacemimeExample
 from .sidebar import List, Sidebar, draw_list, labels, place, split_labels
 
 _ICON = 32
@@ -77,7 +77,7 @@ class FACEMIME_PT_teaching(Sidebar, bpy.types.Panel):
         layout, obj = self.layout, subject(context)
         if obj is None:
             return
-        head = obj.facemime
+        head = style_group(obj)
         if TakeShow.running() is None:
             labels(layout, context, "Preview a take on the head to teach it", "INFO")
         elif not len(head.examples):

@@ -10,13 +10,16 @@ from facemime.blender.names import VALUES_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.core.heads.style import load_style
 from facemime.core.heads.thumbnail import pixels_of
+from facemime.core.takes.file import save_take
 from facemime.sessions.session import Session
 from facemime.sessions.show import TakeShow, follow_settings
 from facemime.sessions.start import follow_settings as follow_live_settings
 from facemime.sessions.start import start_session
 from facemime.ui.teaching import picture_of
+from tests.blender.test_cli import run
 from tests.blender.test_live_keys import character
 from tests.helpers.live_ticks import shown, wait_for
+from tests.helpers.takes import performance
 
 EXPRESSION = 42
 """A frame with an open mouth and raised brows."""
@@ -58,7 +61,7 @@ def test_a_taught_frame_looks_as_it_did_with_the_slider_which_returns_to_rest(im
     np.testing.assert_allclose(shown(head), wanted, atol=_CONTACT)
     bpy.context.scene.frame_set(5)
     at_rest = shown(head)
-    head.facemime.examples[0].mute = True
+    head.facemime_style.examples[0].mute = True
     follow_settings()
     np.testing.assert_allclose(shown(head), at_rest, atol=1e-6)
     bpy.ops.facemime.show_take()
@@ -67,13 +70,13 @@ def test_a_taught_frame_looks_as_it_did_with_the_slider_which_returns_to_rest(im
 def test_the_weight_and_the_mute_switch_of_an_example_act_at_once(imported):
     head = taught()
     full = shown(head)
-    head.facemime.examples[0].weight = 0.0
+    head.facemime_style.examples[0].weight = 0.0
     follow_settings()
     none = shown(head)
-    head.facemime.examples[0].weight = 0.5
+    head.facemime_style.examples[0].weight = 0.5
     follow_settings()
     np.testing.assert_allclose(shown(head), (full + none) / 2.0, atol=_CONTACT)
-    head.facemime.examples[0].mute = True
+    head.facemime_style.examples[0].mute = True
     follow_settings()
     np.testing.assert_allclose(shown(head), none, atol=_CONTACT)
 
@@ -103,7 +106,7 @@ def test_an_unchanged_frame_and_a_face_at_rest_are_refused_with_what_to_do(impor
     slider(head, LIVE_KEY).points[0].co.z += 0.1
     with pytest.raises(RuntimeError, match=r"at rest in this frame"):
         bpy.ops.facemime.teach_frame()
-    assert not len(head.facemime.examples)
+    assert not len(head.facemime_style.examples)
 
 
 def test_values_that_keys_had_before_the_preview_are_not_taught(imported):
@@ -123,7 +126,7 @@ def test_teaching_a_frame_again_replaces_its_example_by_what_is_shown_now(import
     slider(head, "jawOpen").value = 0.4
     wanted = shown(head)
     bpy.ops.facemime.teach_frame()
-    assert len(head.facemime.examples) == 1
+    assert len(head.facemime_style.examples) == 1
     np.testing.assert_allclose(shown(head), wanted, atol=_CONTACT)
 
 
@@ -171,10 +174,10 @@ def test_a_style_is_undone_saved_and_copied_with_the_head(imported, tmp_path):
     slider(head, "jawOpen").value = 0.5
     bpy.ops.facemime.teach_frame()
     bpy.ops.ed.undo_push(message="Teach This Frame")
-    assert len(head.facemime.examples) == 2
+    assert len(head.facemime_style.examples) == 2
     bpy.ops.ed.undo()
     head = bpy.data.objects[name]
-    assert len(head.facemime.examples) == 1 and isinstance(Session.current, TakeShow)
+    assert len(head.facemime_style.examples) == 1 and isinstance(Session.current, TakeShow)
     bpy.context.scene.frame_set(EXPRESSION)
     wanted = shown(head)
     bpy.ops.facemime.show_take()
@@ -185,7 +188,7 @@ def test_a_style_is_undone_saved_and_copied_with_the_head(imported, tmp_path):
     bpy.context.scene.frame_set(EXPRESSION)
     np.testing.assert_allclose(shown(head), wanted, atol=_CONTACT)
     assert pixels_of(read_rig(head).style.examples[0].thumbnail) is not None
-    assert picture_of(head.facemime.examples[0]) >= 0
+    assert picture_of(head.facemime_style.examples[0]) >= 0
 
 
 def test_a_style_is_shared_as_a_file_between_copies_of_a_head(imported, tmp_path):
@@ -195,7 +198,7 @@ def test_a_style_is_shared_as_a_file_between_copies_of_a_head(imported, tmp_path
     assert bpy.ops.facemime.save_style(filepath=str(path.with_suffix(""))) == {"FINISHED"}
     assert bpy.ops.facemime.remove_example() == {"FINISHED"} and not bpy.ops.facemime.save_style.poll()
     assert bpy.ops.facemime.load_style(filepath=str(path)) == {"FINISHED"}
-    assert [example.name for example in load_style(path).examples] == [head.facemime.examples[0].name]
+    assert [example.name for example in load_style(path).examples] == [head.facemime_style.examples[0].name]
     bpy.ops.facemime.show_take()
     bpy.context.scene.frame_set(EXPRESSION)
     np.testing.assert_allclose(shown(head), wanted, atol=_CONTACT)
@@ -208,14 +211,39 @@ def test_a_style_of_another_mesh_and_a_damaged_one_are_refused(imported, tmp_pat
     bpy.context.view_layer.objects.active = scan
     with pytest.raises(RuntimeError, match="was taught on a mesh with"):
         bpy.ops.facemime.load_style(filepath=str(path))
-    assert not len(scan.facemime.examples)
+    assert not len(scan.facemime_style.examples)
     path.write_bytes(path.read_bytes()[:200])
     with pytest.raises(RuntimeError, match="cannot be read"):
         bpy.ops.facemime.load_style(filepath=str(path))
-    head.facemime.examples[0].data = "damaged"
+    head.facemime_style.examples[0].data = "damaged"
     bpy.context.view_layer.objects.active = head
     with pytest.raises(RuntimeError, match="is damaged"):
         bpy.ops.facemime.show_take()
+
+
+@pytest.mark.thorough
+def test_the_command_uses_the_style_of_a_head_and_that_of_a_file(imported, tmp_path):
+    head, style, blend = taught(), tmp_path / "artist.facestyle", tmp_path / "taught.blend"
+    wanted = shown(head)
+    bpy.ops.facemime.show_take()
+    save_take(performance(), tmp_path / "take.facetake")
+    bpy.ops.facemime.save_style(filepath=str(style))
+    bpy.ops.wm.save_as_mainfile(filepath=str(blend), copy=True)
+    bpy.ops.facemime.remove_example()
+    plain = tmp_path / "plain.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(plain), copy=True)
+    for options in (("--head", f"{blend}:{head.name}"), ("--head", f"{plain}:{head.name}", "--style", style)):
+        out = tmp_path / "out.blend"
+        line = ("puppet", tmp_path / "take.facetake", "-o", out, "--neutral", "0", "--keys", "new", *options)
+        done = run(*line)
+        assert done.returncode == 0, done.stderr
+        bpy.ops.wm.open_mainfile(filepath=str(out))
+        bpy.context.scene.frame_set(EXPRESSION)
+        moved = bpy.data.objects["Facemime Head"]
+        assert np.abs(shown(moved) - wanted).max() < 0.02 * read_rig(moved).eye_distance
+        assert len(moved.facemime_style.examples) == 1
+    done = run(*line[:-1], tmp_path / "take.facetake")
+    assert done.returncode == 1 and "cannot be read" in done.stderr
 
 
 def test_a_running_puppet_follows_its_examples(imported, looping):
@@ -223,7 +251,7 @@ def test_a_running_puppet_follows_its_examples(imported, looping):
     bpy.ops.facemime.show_take()
     session = start_session(scene, [head])
     wait_for(lambda: session.step() and len(session.shown.heads) and session.shown.heads[0].taught.max() > 0.5)
-    head.facemime.examples[0].mute = True
+    head.facemime_style.examples[0].mute = True
     follow_live_settings(session, scene)
     wait_for(lambda: session.step() and len(session.shown.heads) and not len(session.shown.heads[0].taught))
     session.close()
