@@ -284,5 +284,5 @@ def test_a_bake_by_a_mapping_contains_what_was_taught_by_sliders_on_the_skin(imp
         return slider(head, "mouthSmileLeft").value
 
     corrected = baked()
-    head.facemime.examples[0].mute = True
+    head.facemime_style.examples[0].mute = True
     assert corrected - baked() == pytest.approx(0.8, abs=0.05)

@@ -127,7 +127,7 @@ def teach(studio: Studio) -> None:
         blender.redraw()
         before = blender.get(f"shown({HEAD}).tolist()")
         studio.press("teach_frame")
-        blender.wait_for(f"len({HEAD}.facemime.examples) == {number + 1}")
+        blender.wait_for(f"len({HEAD}.facemime_style.examples) == {number + 1}")
         blender.wait_for(f"{_KEYS}.key_blocks[{key!r}].value == 0.0")
         after = blender.get(f"shown({HEAD}).tolist()")
         assert np.abs(np.subtract(before, after)).max() < 2e-3, "the head looks as it was taught"
