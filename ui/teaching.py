@@ -53,7 +53,7 @@ class FACEMIME_UL_examples(List, bpy.types.UIList):
         self, context: bpy.types.Context, layout: bpy.types.UILayout, item: FacemimeExample, index: int
     ) -> None:
         """Draw one example."""
-        row = layout.row(align=True)
+        row = layout.split(factor=0.65, align=True)
         row.active = not item.mute
         row.prop(item, "name", text="", emboss=False, icon_value=picture_of(item))
         row.prop(item, "weight", text="", slider=True)
