@@ -180,6 +180,8 @@ def follow_stdin() -> None:
     if os.environ.pop(LEASH, ""):
         import threading
 
+        import numpy  # noqa: F401 - on Windows, it would wait forever for a thread that reads a pipe (issue 24290)
+
         threading.Thread(target=_end_with_stdin, name="facemime-leash", daemon=True).start()
 
 

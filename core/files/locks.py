@@ -54,16 +54,18 @@ def holding(path: Path, patience: float | None = None) -> Iterator[bool]:
 @contextmanager
 def _deleting(stream: FileIO, path: Path) -> Iterator[None]:
     """Delete and close a lock file at the end, as far as possible."""
-    with stream:
-        try:
-            yield
-        finally:
-            if sys.platform != "win32":  # where an open file cannot be deleted
-                with suppress(OSError):  # another user's, in a folder where only owners may delete
-                    path.unlink()
-    if sys.platform == "win32":
-        with suppress(OSError):  # the next process already has it open
-            path.unlink()
+    try:
+        with stream:
+            try:
+                yield
+            finally:
+                if sys.platform != "win32":  # where an open file cannot be deleted
+                    with suppress(OSError):  # another user's, in a folder where only owners may delete
+                        path.unlink()
+    finally:
+        if sys.platform == "win32":
+            with suppress(OSError):  # the next process already has it open
+                path.unlink()
 
 
 @contextmanager

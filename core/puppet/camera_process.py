@@ -27,6 +27,8 @@ def main() -> None:
     sys.path[:0] = sys.argv[1].split(os.pathsep)
     out = os.fdopen(os.dup(1), "wb", buffering=0)
     os.dup2(2, 1)  # output of a driver must not mix with the frames
+    import cv2  # noqa: F401 - on Windows, it would wait forever for a thread that reads a pipe (numpy, issue 24290)
+
     threading.Thread(target=_end_with_the_caller, daemon=True).start()
     with contextlib.suppress(BrokenPipeError):  # the other end was closed
         _stream(out)

@@ -9,11 +9,13 @@ import subprocess
 import sys
 import tempfile
 import time
+from io import FileIO
 from pathlib import Path
 
 import pytest
 
 from facemime.core.errors import OutputError
+from facemime.core.files import locks
 from facemime.core.files import writing as files
 from facemime.core.files.locks import holding, lock_of, sweep, temporary_folder
 from facemime.core.files.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
@@ -234,3 +236,12 @@ def test_free_names_are_numbered(tmp_path):
     assert free_name(path) == path
     path.touch()
     assert free_name(path).name == "a.unfinished-2.facetake"
+
+
+@pytest.mark.parametrize("platform", ["linux", "win32"])
+def test_a_run_that_fails_leaves_no_lock_behind(tmp_path, monkeypatch, platform):
+    path = tmp_path / "lock"
+    monkeypatch.setattr("facemime.core.files.locks.sys.platform", platform)
+    with pytest.raises(RuntimeError), locks._deleting(FileIO(path, "w"), path):
+        raise RuntimeError
+    assert not path.exists()
