@@ -83,12 +83,12 @@ def project_folder(name: str) -> Path:
 
 
 def relative(path: Path, blend: str = "") -> str:
-    """Return `path` relative to a .blend file, by default the open one, if possible."""
+    """Return `path` relative to a .blend file, by default the open one, if possible: with slashes on every system."""
     blend = blend or bpy.data.filepath
     if not blend:
         return str(path)
     try:
-        return str(bpy.path.relpath(str(path), start=str(Path(blend).parent)))
+        return str(bpy.path.relpath(str(path), start=str(Path(blend).parent))).replace(os.sep, "/")
     except ValueError:  # another drive
         return str(path)
 
@@ -200,7 +200,10 @@ def _read_moved(name: str) -> dict[str, Path]:
 
 
 def _absolute(path: str) -> Path:
-    return Path(os.path.normpath(bpy.path.abspath(path)))
+    there = Path(os.path.normpath(bpy.path.abspath(path)))
+    if path.startswith("//") and "\\" in path and not os.path.lexists(there):  # saved on Windows by an earlier version
+        return Path(os.path.normpath(bpy.path.abspath(path.replace("\\", "/"))))
+    return there
 
 
 class _Saving:

@@ -193,3 +193,13 @@ def test_a_damaged_list_of_moved_files_is_ignored(home, text):
     folder.mkdir(parents=True)
     (folder / storage.MOVED).write_text(text)
     assert storage.located("/a") == Path("/a")
+
+
+def test_takes_of_a_file_that_was_saved_on_windows_are_found(project):
+    save(project / "shot.blend")
+    line = keep("Anna")
+    assert line.path == "//takes/Anna.facetake"
+    line.path = "//takes\\Anna.facetake"
+    assert len(takes_store.read(line)) == 60
+    save(project / "shot.blend")
+    assert line.path == "//takes/Anna.facetake"
