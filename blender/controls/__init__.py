@@ -1,0 +1,1 @@
+"""Controls of a character's own rig: which there are, what each does to the face, and setting them."""

@@ -1,0 +1,188 @@
+"""What the controls of a rig do to a face, as measured by moving each a little (method.md, section 10.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..numeric.arrays import FloatArray, IntArray
+
+LOCATION, ROTATION, PROPERTY, KEY = "location", "rotation", "property", "key"
+"""Kinds of channels."""
+_REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0)}
+"""Largest motion from rest without a limit, in eye distances and radians: farther away, what was measured near rest
+says little."""
+_SYMMETRIC = 0.25
+"""Difference of the effects of both directions, relative to their sum, up to which a channel is one variable."""
+_EFFECT = 0.005
+"""Motion of a landmark below which a direction of a channel does nothing, in eye distances."""
+
+
+@dataclass(frozen=True)
+class RigChannel:
+    """A number of a rig: a coordinate of a control, a property, or a shape key.
+
+    Attributes
+    ----------
+    owner : str
+        Name of the object that has it.
+    bone : str
+        Name of the control bone; "" for the object itself.
+    kind : str
+        `LOCATION`, `ROTATION`, `PROPERTY` or `KEY`.
+    index : int
+        Axis of a location or rotation.
+    name : str
+        Name of the property or key.
+    low, high : float
+        Smallest and largest value relative to rest: in the unit of the channel, infinite without limits.
+    """
+
+    owner: str
+    bone: str
+    kind: str
+    index: int = 0
+    name: str = ""
+    low: float = -np.inf
+    high: float = np.inf
+
+    @property
+    def control(self) -> str:
+        """Name of the control, which may have several channels."""
+        return self.bone or self.name or self.owner
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A channel that was moved from rest by `step`, and the displacements (S, 3) of the sampled vertices: head frame,
+    unit of the mesh.
+    """
+
+    step: float
+    moved: FloatArray
+
+
+@dataclass(frozen=True)
+class RigMap:
+    """Linear model of a rig: ``moved = sum_k x_k effects_k`` with ``lower <= x <= upper``.
+
+    Attributes
+    ----------
+    channels : tuple of RigChannel
+        The C channels.
+    sample : (S,) intp
+        The vertices that are looked at: the 66 landmarks, then others of the face.
+    channel : (K,) intp
+        Channel of each variable. A channel whose directions differ has two variables, of which one is 0.
+    scale : (K,) float64
+        Change of the channel by a variable at 1; negative for the lower of two directions.
+    effects : (K, S, 3) float64
+        Displacements by each variable at 1: head frame, unit of the mesh.
+    lower, upper : (K,) float64
+        Bounds, which contain 0.
+    unit : float
+        Outer-eye distance of the head in the unit of the mesh.
+    """
+
+    channels: tuple[RigChannel, ...]
+    sample: IntArray
+    channel: IntArray
+    scale: FloatArray
+    effects: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    unit: float
+
+    @property
+    def controls(self) -> list[str]:
+        """Names of the controls."""
+        return list(dict.fromkeys(channel.control for channel in self.channels))
+
+    @property
+    def opposite(self) -> NDArray[np.intp]:
+        """The other direction of the channel of each variable, (K,); -1 if it has one variable."""
+        found = np.full(len(self.channel), -1, dtype=np.intp)
+        for channel in np.unique(self.channel):
+            pair = np.flatnonzero(self.channel == channel)
+            if len(pair) == 2:
+                found[pair] = pair[::-1]
+        return found
+
+    def values(self, variables: FloatArray) -> FloatArray:
+        """Convert variables (..., K) to changes of the channels from rest, (..., C)."""
+        out = np.zeros((*variables.shape[:-1], len(self.channels)))
+        for k, channel in enumerate(self.channel.tolist()):
+            out[..., channel] += variables[..., k] * self.scale[k]
+        return out
+
+    def chosen(self, wanted: NDArray[np.bool_]) -> RigMap:
+        """Return the map of some of the channels, (C,)."""
+        kept = wanted[self.channel]
+        numbers = np.cumsum(wanted) - 1
+        return RigMap(
+            tuple(channel for channel, use in zip(self.channels, wanted.tolist(), strict=True) if use),
+            self.sample,
+            numbers[self.channel[kept]],
+            self.scale[kept],
+            self.effects[kept],
+            self.lower[kept],
+            self.upper[kept],
+            self.unit,
+        )
+
+
+def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sample: IntArray, unit: float) -> RigMap:
+    """Build a map from the probes of each channel, one for each direction in which it can move.
+
+    Channels that move no landmark are left out.
+    """
+    kept: list[RigChannel] = []
+    rows: list[tuple[int, float, FloatArray, float, float]] = []
+    for channel, probed in zip(channels, probes, strict=True):
+        variables = [_variable(channel, probe, unit) for probe in probed if _acts(probe, unit)]
+        if len(variables) == 2 and _is_symmetric(*probed):
+            variables = [_joined(*variables)]
+        rows += [(len(kept), *variable) for variable in variables]
+        kept += [channel] if variables else []
+    numbers, scale, effects, lower, upper = (list(column) for column in zip(*rows, strict=True)) if rows else [[]] * 5
+    return RigMap(
+        tuple(kept),
+        sample,
+        np.array(numbers, dtype=np.intp),
+        np.array(scale, dtype=np.float64),
+        np.array(effects, dtype=np.float64).reshape(len(rows), len(sample), 3),
+        np.array(lower, dtype=np.float64),
+        np.array(upper, dtype=np.float64),
+        unit,
+    )
+
+
+def _acts(probe: Probe, unit: float) -> bool:
+    """Whether a direction moves a landmark."""
+    return bool(np.linalg.norm(probe.moved[:66], axis=1).max() > _EFFECT * unit)
+
+
+def _variable(channel: RigChannel, probe: Probe, unit: float) -> tuple[float, FloatArray, float, float]:
+    """Scale, effect and bounds of the variable for a direction."""
+    limit = channel.high if probe.step > 0.0 else -channel.low
+    reach = _REACH.get(channel.kind, np.inf) * (unit if channel.kind == LOCATION else 1.0)
+    return probe.step, probe.moved, 0.0, min(limit, max(reach, abs(probe.step))) / abs(probe.step)
+
+
+def _is_symmetric(one: Probe, other: Probe) -> bool:
+    """Whether the effects of both directions are opposite."""
+    a, b = one.moved / one.step, other.moved / other.step
+    return bool(np.linalg.norm(a - b) < _SYMMETRIC * np.linalg.norm(a + b))
+
+
+def _joined(
+    one: tuple[float, FloatArray, float, float], other: tuple[float, FloatArray, float, float]
+) -> tuple[float, FloatArray, float, float]:
+    """One variable for both directions of a channel."""
+    up, down = (one, other) if one[0] > 0.0 else (other, one)
+    step = 0.5 * (up[0] - down[0])
+    effect = 0.5 * step * (up[1] / up[0] + down[1] / down[0])
+    return step, effect, -down[3] * -down[0] / step, up[3] * up[0] / step

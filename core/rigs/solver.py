@@ -1,0 +1,101 @@
+"""Values of a rig's controls that show a face (method.md, section 10.2)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from ..face.landmarks import JAW, LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
+from ..numeric.arrays import FloatArray
+from ..numeric.least_squares import bounded_minimum
+from .rig_map import RigMap
+
+_SKIN = 0.35
+"""Weight of all vertices that are no landmarks, relative to that of the landmarks."""
+_CONTOUR = 0.5
+"""Weight of the jaw line."""
+_LIDS = 2.0
+"""Weight of the openings of the eyes."""
+_LIPS = 1.5
+"""Weight of the opening of the lips."""
+_PRIOR = 1e-2
+"""Weight of the squares of the variables, relative to the mean square of their effects."""
+_STEADY = 2e-3
+"""Weight of the squares of their changes from frame to frame, in the same unit."""
+
+Evaluate = Callable[[FloatArray], FloatArray]
+"""Takes changes of the channels (C,), and returns how the rig itself moves the sampled vertices, (S, 3)."""
+
+
+class RigSolver:
+    """Solves for the controls of a rig, frame by frame: a quadratic program within bounds, from the last solution.
+
+    Controls that move more of the face are preferred, as an animator would. Of two directions of a channel, only one is
+    used at a time.
+    """
+
+    def __init__(self, rig_map: RigMap) -> None:
+        self.map = rig_map
+        self._weights = _weights(len(rig_map.sample))
+        self._rows = self._features(rig_map.effects)
+        gram = self._rows @ self._rows.T
+        count = max(len(gram), 1)
+        size = float(np.trace(gram)) / count
+        breadth = np.sqrt(np.square(rig_map.effects).sum(axis=(1, 2)))
+        prior = np.square(breadth.mean() / np.maximum(breadth, 1e-12)) if len(gram) else breadth
+        self._steady = _STEADY * size
+        self._gram = gram + np.diag(_PRIOR * size * prior)
+        self._opposite = rig_map.opposite
+        self._last = np.zeros(len(gram))
+
+    def _features(self, moved: FloatArray) -> FloatArray:
+        """Weighted rows that are compared, (..., R), of displacements (..., S, 3), in eye distances."""
+        flat = (moved * self._weights[:, None]).reshape(*moved.shape[:-2], -1)
+        lids = _LIDS * (moved[..., UPPER_LIDS, 1] - moved[..., LOWER_LIDS, 1])
+        lips = _LIPS * (moved[..., UPPER_LIPS, 1] - moved[..., LOWER_LIPS, 1])
+        return np.asarray(np.concatenate([flat, lids, lips], axis=-1) / self.map.unit)
+
+    def reset(self) -> None:
+        """Forget the last frame."""
+        self._last[:] = 0.0
+
+    def solve(self, target: FloatArray, evaluate: Evaluate | None = None, corrections: int = 0) -> FloatArray:
+        """Return the changes of the channels from rest, (C,), for displacements (S, 3) of the sampled vertices.
+
+        `evaluate` moves the rig itself, whose difference from the linear model is taken into account `corrections`
+        times.
+        """
+        wanted = self._features(target)
+        products = self._rows @ wanted
+        x = self._bounded(products)
+        for _ in range(corrections if evaluate is not None else 0):
+            assert evaluate is not None
+            missed = self._rows.T @ x - self._features(evaluate(self.map.values(x)))
+            products = products + self._rows @ missed
+            x = self._bounded(self._rows @ wanted + self._rows @ missed, x)
+        self._last = x
+        return self.map.values(x)
+
+    def _bounded(self, products: FloatArray, start: FloatArray | None = None) -> FloatArray:
+        """Solve within the bounds, (K,), one direction of each channel at a time."""
+        gram = self._gram + self._steady * np.eye(len(products))
+        products = products + self._steady * self._last
+        lower, upper = self.map.lower, self.map.upper
+        x = bounded_minimum(gram, products, lower, upper, self._last if start is None else start)
+        both = (self._opposite >= 0) & (x > 0.0) & (x[self._opposite] > 0.0)
+        if both.any():
+            weaker = both & (x * np.abs(self.map.scale) < (x * np.abs(self.map.scale))[self._opposite])
+            x[weaker] = 0.0
+            free = ~weaker
+            x[free] = bounded_minimum(gram[np.ix_(free, free)], products[free], lower[free], upper[free], x[free])
+        return x
+
+
+def _weights(count: int) -> FloatArray:
+    """Weights of the sampled vertices, (S,)."""
+    others = max(count - N_LANDMARKS, 0)
+    weights = np.ones(count)
+    weights[JAW] = _CONTOUR
+    weights[N_LANDMARKS:] = _SKIN * np.sqrt(N_LANDMARKS / max(others, 1))
+    return weights
