@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import bpy
 import numpy as np
 
+from ...core.errors import HeadError
+from ...core.face.landmarks import OUTER_EYE_CORNERS
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, RigChannel
-from ..characters import members_of
-from ..meshes import mesh_of, posed_bones
+from ..characters import members_of, parent_matrix, read_bones
+from ..fcurves import drivers_of
+from ..meshes import mesh_of, posed_bones, read_places, read_vertices
+from ..own_pose import ROTATIONS
+from ..own_pose import path_of as prefix_in_path
 
 _MECHANISM = ("DEF-", "ORG-", "MCH-", "VIS_")
 """Beginnings of the names of bones that Rigify and others do not mean for animators."""
@@ -20,23 +26,26 @@ _MOST = 1e4
 
 def armatures_of(head: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the armatures that deform a head, or that drive its shape keys, by name."""
-    found: set[bpy.types.Object] = set()
-    for member in members_of(head):
-        found |= {
-            modifier.object
-            for modifier in member.obj.modifiers
-            if modifier.type == "ARMATURE" and modifier.object is not None
-        }
-    found |= {obj for obj in driving(head) if obj.type == "ARMATURE"}
+    found = {*_deforming(head), *(obj for obj in driving(head) if obj.type == "ARMATURE")}
     return sorted(found, key=lambda obj: obj.name)
 
 
+def _deforming(head: bpy.types.Object) -> set[bpy.types.Object]:
+    modifiers = [modifier for member in members_of(head) for modifier in member.obj.modifiers]
+    return {
+        modifier.object
+        for modifier in modifiers
+        if isinstance(modifier, bpy.types.ArmatureModifier) and modifier.object is not None
+    }
+
+
 def driving(head: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the objects whose values drive the shape keys of a head's meshes."""
+    """Return the objects whose values drive the shape keys of a head's meshes, or the armatures that deform them."""
     found: dict[bpy.types.Object, None] = {}
-    for member in members_of(head):
-        keys = mesh_of(member.obj).shape_keys
-        for curve in () if keys is None or keys.animation_data is None else keys.animation_data.drivers:
+    meshes = [member.obj for member in members_of(head)]
+    keys = [block for block in (mesh_of(obj).shape_keys for obj in meshes) if block is not None]
+    for owner in (*keys, *_deforming(head)):
+        for curve in drivers_of(owner):
             for variable in curve.driver.variables if curve.driver is not None else ():
                 for target in variable.targets:
                     if isinstance(target.id, bpy.types.Object):
@@ -45,30 +54,85 @@ def driving(head: bpy.types.Object) -> list[bpy.types.Object]:
 
 
 def channels_of(head: bpy.types.Object) -> list[RigChannel]:
-    """Return the channels that may be keyed: visible, unlocked, not driven, and with room to move."""
+    """Return the channels that may be keyed: visible, unlocked, not driven, and with room to move.
+
+    Raises HeadError if a rig is linked from another file.
+    """
     found: list[RigChannel] = []
     armatures = armatures_of(head)
+    sliders = [obj for obj in driving(head) if obj not in armatures and obj.visible_get()]
+    for obj in (*armatures, *sliders):
+        if obj.library is not None:
+            raise HeadError(
+                "{name} is linked from another file and cannot be animated here. Make a library override of it "
+                "(Object > Library Override > Make), or make it local.",
+                name=obj.name,
+            )
+    bones = read_bones(head)[1]
+    posing = {bones.head, bones.eye_left, bones.eye_right}
     for armature in armatures:
         driven = _driven_paths(armature)
         for bone in posed_bones(armature):
-            if _is_control(armature, bone):
-                path = f'pose.bones["{bpy.utils.escape_identifier(bone.name)}"]'
-                found += _of_transform(armature, bone, path, driven)
-                found += _of_properties(armature, bone, path, driven)
-    for obj in driving(head):
-        if obj not in armatures and obj.visible_get():
-            found += _of_transform(obj, None, "", _driven_paths(obj))
-            found += _of_properties(obj, None, "", _driven_paths(obj))
+            if _is_control(bone) and bone.name not in posing:
+                found += _of_transform(head, armature, bone, driven)
+                found += _of_properties(armature, bone, driven)
+        found += _of_properties(armature, None, driven)
+    for obj in sliders:
+        driven = _driven_paths(obj)
+        found += _of_transform(head, obj, None, driven) if obj.type != "MESH" or obj not in _meshes(head) else ()
+        found += _of_properties(obj, None, driven)
     return found
 
 
+def eye_distance_of(head: bpy.types.Object) -> float:
+    """Return the outer-eye distance of a head in the unit of its mesh."""
+    points = read_vertices(mesh_of(head))[read_places(head)]
+    return float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+
+
+def _meshes(head: bpy.types.Object) -> list[bpy.types.Object]:
+    return [member.obj for member in members_of(head)]
+
+
+def path_of(channel: RigChannel, mode: str = "") -> str:
+    """Return the data path of a channel; of a rotation, that of a control with this rotation mode."""
+    bone = f'pose.bones["{bpy.utils.escape_identifier(channel.bone)}"]' if channel.bone else ""
+    if channel.kind == PROPERTY:
+        return f'{bone}["{bpy.utils.escape_identifier(channel.name)}"]'
+    name = "location" if channel.kind == LOCATION else ROTATIONS.get(mode, "rotation_euler")
+    return f"{bone}.{name}" if bone else name
+
+
+def eye_distance_of(head: bpy.types.Object) -> float:
+    """Return the outer-eye distance of a head in the unit of its mesh."""
+    points = read_vertices(mesh_of(head))[read_places(head)]
+    return float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
+
+
+def _meshes(head: bpy.types.Object) -> list[bpy.types.Object]:
+    return [member.obj for member in members_of(head)]
+
+
+def path_of(channel: RigChannel, mode: str = "") -> str:
+    """Return the data path of a channel; of a rotation, that of a control with this rotation mode."""
+    bone = f'pose.bones["{bpy.utils.escape_identifier(channel.bone)}"]' if channel.bone else ""
+    if channel.kind == PROPERTY:
+        return f'{bone}["{bpy.utils.escape_identifier(channel.name)}"]'
+    name = "location" if channel.kind == LOCATION else ROTATIONS.get(mode, "rotation_euler")
+    return f"{bone}.{name}" if bone else name
+
+
+def rotation_of(mode: str) -> str:
+    """Return the name of the property with the rotation in a mode."""
+    return {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}.get(mode, "rotation_euler")
+
+
 def _driven_paths(owner: bpy.types.Object) -> set[str]:
-    """Return the data paths that drivers move, with the index of array elements."""
-    curves = owner.animation_data.drivers if owner.animation_data is not None else ()
-    return {f"{curve.data_path}[{curve.array_index}]" for curve in curves} | {curve.data_path for curve in curves}
+    """Return the data paths that drivers move, with and without the index of array elements."""
+    return {path for curve in drivers_of(owner) for path in (f"{curve.data_path}[{curve.array_index}]", curve.data_path)}
 
 
-def _is_control(armature: bpy.types.Object, bone: bpy.types.PoseBone) -> bool:
+def _is_control(bone: bpy.types.PoseBone) -> bool:
     """Return whether animators see a bone, and it is no part of the mechanism."""
     if bone.name.startswith(_MECHANISM) or bone.bone.hide or getattr(bone, "hide", False):
         return False
@@ -77,51 +141,59 @@ def _is_control(armature: bpy.types.Object, bone: bpy.types.PoseBone) -> bool:
 
 
 def _of_transform(
-    owner: bpy.types.Object, bone: bpy.types.PoseBone | None, path: str, driven: set[str]
+    head: bpy.types.Object, owner: bpy.types.Object, bone: bpy.types.PoseBone | None, driven: set[str]
 ) -> Iterator[RigChannel]:
     """Yield the channels of location, and of rotation, which may turn the jaw."""
     moved = owner if bone is None else bone
-    dotted = f"{path}." if path else ""
-    name = "" if bone is None else bone.name
-    limits = _limits(moved)
+    dotted, name = ("", "") if bone is None else (prefix_in_path(bone), bone.name)
+    space = owner.matrix_world if bone is not None else parent_matrix(owner)
+    unit = eye_distance_of(head) * head.matrix_world.median_scale / max(space.median_scale, 1e-12)
     connected = bone is not None and bone.bone.use_connect and bone.parent is not None
-    for axis in range(3):
-        low, high = limits[axis]
-        low, high = low - moved.location[axis], high - moved.location[axis]
+    places, turns = _limits(moved, "LIMIT_LOCATION"), _limits(moved, "LIMIT_ROTATION")
+    for axis, (low, high) in enumerate(places):
+        # Bones rest in their rest pose, sliders where they are.
+        rest = 0.0 if bone is not None else moved.location[axis]
         free = not moved.lock_location[axis] and f"{dotted}location[{axis}]" not in driven and not connected
         if free and low < high:
-            yield RigChannel(owner.name, name, LOCATION, axis, low=min(low, 0.0), high=max(high, 0.0))
-    turned = {f"{dotted}{kind}" for kind in ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")}
+            low, high = min(low - rest, 0.0), max(high - rest, 0.0)
+            yield RigChannel(owner.name, name, LOCATION, axis, low=low, high=high, rest=rest, unit=unit)
+    turned = {f"{dotted}{kind}" for kind in ("rotation_euler", *ROTATIONS.values())}
     if bone is not None and not turned & driven and not any(moved.lock_rotation):
-        for axis in range(3):
-            yield RigChannel(owner.name, name, ROTATION, axis)
+        for axis, (low, high) in enumerate(turns):
+            if low < high:
+                yield RigChannel(owner.name, name, ROTATION, axis, low=min(low, 0.0), high=max(high, 0.0))
 
 
-def _limits(moved: bpy.types.Object | bpy.types.PoseBone) -> list[tuple[float, float]]:
-    """Return the least and greatest location on each axis, as constraints allow."""
+def _limits(moved: bpy.types.Object | bpy.types.PoseBone, kind: str) -> list[tuple[float, float]]:
+    """Return the least and greatest value on each axis that constraints of a kind allow."""
     limits = [(-np.inf, np.inf)] * 3
     for constraint in moved.constraints:
-        if constraint.type != "LIMIT_LOCATION" or constraint.mute or constraint.influence <= 0.0:
+        if constraint.type != kind or constraint.mute or constraint.influence <= 0.0:
             continue
-        if constraint.owner_space != ("LOCAL"):
+        if constraint.owner_space != "LOCAL":
             continue
         for axis, letter in enumerate(_AXES):
-            low = getattr(constraint, f"min_{letter}") if getattr(constraint, f"use_min_{letter}") else -np.inf
-            high = getattr(constraint, f"max_{letter}") if getattr(constraint, f"use_max_{letter}") else np.inf
+            if kind == "LIMIT_LOCATION":
+                sides = [getattr(constraint, f"use_{end}_{letter}") for end in ("min", "max")]
+            else:
+                sides = [getattr(constraint, f"use_limit_{letter}")] * 2
+            low = getattr(constraint, f"min_{letter}") if sides[0] else -np.inf
+            high = getattr(constraint, f"max_{letter}") if sides[1] else np.inf
             limits[axis] = max(limits[axis][0], low), min(limits[axis][1], high)
     return limits
 
 
 def _of_properties(
-    owner: bpy.types.Object, bone: bpy.types.PoseBone | None, path: str, driven: set[str]
+    owner: bpy.types.Object, bone: bpy.types.PoseBone | None, driven: set[str]
 ) -> Iterator[RigChannel]:
-    """Yield the channels of custom properties that are numbers with a range."""
+    """Yield the channels of custom properties that are real numbers with a range."""
     holder, bone_name = (owner, "") if bone is None else (bone, bone.name)
     for name in list(holder.keys()):
         value = holder[name]
-        if not isinstance(value, float) or f'{path}["{bpy.utils.escape_identifier(name)}"]' in driven:
+        channel = RigChannel(owner.name, bone_name, PROPERTY, name=name)
+        if not isinstance(value, float) or path_of(channel) in driven:
             continue
         shown = holder.id_properties_ui(name).as_dict()
         low, high = (float(shown.get(f"soft_{end}", shown[end])) - value for end in ("min", "max"))
         if high > low and max(-low, high) < _MOST:
-            yield RigChannel(owner.name, bone_name, PROPERTY, name=name, low=min(low, 0.0), high=max(high, 0.0))
+            yield replace(channel, low=min(low, 0.0), high=max(high, 0.0), rest=value)

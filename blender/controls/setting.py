@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import bpy
 import numpy as np
 from mathutils import Euler, Quaternion, Vector
+from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, RigChannel
 from ..meshes import posed_bones
+from ..own_pose import rotation_channel
 
 Holder = bpy.types.Object | bpy.types.PoseBone
+_Group = tuple[str, str, str, str]
+"""Owner, bone, kind and name of a property: the channels that are set together."""
 
 
 class ControlValues:
@@ -25,73 +30,91 @@ class ControlValues:
 
     def __init__(self, channels: Sequence[RigChannel]) -> None:
         self.channels = tuple(channels)
-        self._groups: dict[tuple[str, str, str], list[int]] = {}
+        groups: dict[_Group, list[int]] = {}
         for number, channel in enumerate(self.channels):
-            kind = f"{channel.kind}:{channel.name}" if channel.kind == PROPERTY else channel.kind
-            self._groups.setdefault((channel.owner, channel.bone, kind), []).append(number)
-        self._rest = {group: self._read(*group) for group in self._groups}
-
-    def _read(self, owner: str, bone: str, kind: str) -> Any:
-        holder = holder_of(owner, bone)
-        if kind == LOCATION:
-            return tuple(holder.location)
-        if kind.startswith(PROPERTY):
-            return holder[kind.partition(":")[2]]
-        return holder.rotation_mode, tuple(_rotation(holder))
+            groups.setdefault((channel.owner, channel.bone, channel.kind, channel.name), []).append(number)
+        self._groups = {group: np.array(numbers, dtype=np.intp) for group, numbers in groups.items()}
+        self._axes = np.array([channel.index for channel in self.channels], dtype=np.intp)
+        self._at_rest = np.array([channel.rest for channel in self.channels])
+        self._own = {group: _read(*group) for group in self._groups}
+        self._written = np.full(len(self.channels), np.nan)
 
     def write(self, values: FloatArray) -> None:
         """Set the channels to changes from rest, (C,)."""
-        for (owner, bone, kind), numbers in self._groups.items():
-            holder, rest = holder_of(owner, bone), self._rest[owner, bone, kind]
-            changes = np.zeros(3)
-            for number in numbers:
-                changes[self.channels[number].index if kind[:8] != PROPERTY else 0] = values[number]
-            if kind == LOCATION:
-                holder.location = Vector(rest) + Vector(changes)
-            elif kind.startswith(PROPERTY):
-                holder[kind.partition(":")[2]] = rest + float(changes[0])
-                holder.id_data.update_tag()
-            else:
-                turn(holder, *rest, Vector(changes))
+        changed = values != self._written
+        for group, numbers in self._groups.items():
+            if changed[numbers].any():
+                _write(group, self._own[group], self._axes[numbers], (self._at_rest + values)[numbers])
+        self._written = np.array(values, dtype=np.float64)
 
     def restore(self) -> None:
         """Give every channel the value that it had, to the last bit."""
-        for (owner, bone, kind), rest in self._rest.items():
+        for (owner, bone, kind, name), own in self._own.items():
             holder = holder_of(owner, bone)
-            if kind == LOCATION:
-                holder.location = rest
-            elif kind.startswith(PROPERTY):
-                holder[kind.partition(":")[2]] = rest
+            if kind == PROPERTY:
+                holder[name] = own
             else:
-                setattr(holder, _channel_of(rest[0]), rest[1])
+                setattr(holder, _attribute(holder, kind), own)
+            holder.id_data.update_tag()
+        self._written[:] = np.nan
         bpy.context.view_layer.update()
+
+
+@contextmanager
+def held(channels: Sequence[RigChannel]) -> Iterator[ControlValues]:
+    """Set channels for a while; afterwards they have the values that they had."""
+    values = ControlValues(channels)
+    try:
+        yield values
+    finally:
+        values.restore()
 
 
 def holder_of(owner: str, bone: str) -> Holder:
     """Return the bone or object that has a channel; raises HeadError if there is none."""
     obj = bpy.data.objects.get(owner)
     if obj is None or (bone and (obj.type != "ARMATURE" or bone not in posed_bones(obj))):
-        raise HeadError("The control {name} is missing. Use Learn Controls again.", name=bone or owner)
+        raise HeadError("The control {name} is missing. Learn the controls again.", name=bone or owner)
     return posed_bones(obj)[bone] if bone else obj
 
 
-def _channel_of(mode: str) -> str:
-    return {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}.get(mode, "rotation_euler")
+def _attribute(holder: Holder, kind: str) -> str:
+    return "location" if kind == LOCATION else rotation_channel(holder)
 
 
-def _rotation(holder: Holder) -> Any:
-    return getattr(holder, _channel_of(holder.rotation_mode))
+def _read(owner: str, bone: str, kind: str, name: str) -> Any:
+    holder = holder_of(owner, bone)
+    if kind == PROPERTY:
+        if not isinstance(holder.get(name), float):
+            raise HeadError("The control {name} is missing. Learn the controls again.", name=name)
+        return holder[name]
+    return tuple(getattr(holder, _attribute(holder, kind)))
 
 
-def turn(holder: Holder, mode: str, rest: Sequence[float], vector: Vector) -> None:
-    """Turn a control from its rotation at rest by a rotation vector in its own axes, in its own rotation mode."""
-    angle = vector.length
-    own = Quaternion(vector / angle, angle) if angle > 1e-12 else Quaternion()
-    if mode == "QUATERNION":
-        holder.rotation_quaternion = Quaternion(rest) @ own
-    elif mode == "AXIS_ANGLE":
-        axis, amount = (Quaternion(Vector(rest[1:]), rest[0]) @ own).to_axis_angle()
-        holder.rotation_axis_angle = (amount, *axis)
+def _write(group: _Group, own: Any, axes: NDArray[np.intp], values: FloatArray) -> None:
+    """Set the channels of a group; axes without a channel keep their own location, and are not turned."""
+    owner, bone, kind, name = group
+    holder = holder_of(owner, bone)
+    if kind == PROPERTY:
+        holder[name] = float(values[0])
+        holder.id_data.update_tag()
+        return
+    vector = np.array(own if kind == LOCATION else (0.0, 0.0, 0.0))
+    vector[axes] = values
+    if kind == LOCATION:
+        holder.location = vector.tolist()
     else:
-        before = Euler(rest, mode)
-        holder.rotation_euler = (before.to_quaternion() @ own).to_euler(mode, before)
+        setattr(holder, rotation_channel(holder), rotated(holder.rotation_mode, vector))
+
+
+def rotated(mode: str, vector: FloatArray, before: Sequence[float] | None = None) -> tuple[float, ...]:
+    """Return the value of a rotation in a mode that turns by a rotation vector (3,), radians, near the one before."""
+    angle = float(np.linalg.norm(vector))
+    axis = Vector((vector / angle).tolist()) if angle > 1e-12 else Vector((0.0, 1.0, 0.0))
+    turn = Quaternion(axis, angle)
+    if mode == "AXIS_ANGLE":
+        side = -1.0 if before is not None and axis.dot(Vector(before[1:])) < 0.0 else 1.0
+        return (side * angle, *(side * axis))
+    if mode == "QUATERNION":
+        return tuple(-turn if before is not None and turn.dot(Quaternion(before)) < 0.0 else turn)
+    return tuple(turn.to_euler(mode, Euler((0.0, 0.0, 0.0) if before is None else before, mode)))

@@ -8,22 +8,34 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, LIPS, N_LANDMARKS, NOSE
 from ..numeric.arrays import FloatArray, IntArray
 
-LOCATION, ROTATION, PROPERTY, KEY = "location", "rotation", "property", "key"
+LOCATION, ROTATION, PROPERTY = "location", "rotation", "property"
 """Kinds of channels."""
+REGIONS: Mapping[str, IntArray] = {
+    "Brows": BROWS,
+    "Eyes": np.concatenate([EYE_RIGHT, EYE_LEFT]),
+    "Nose": NOSE,
+    "Mouth": LIPS,
+    "Jaw": JAW,
+}
+"""Landmarks of each region."""
 _REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0)}
 """Largest motion from rest without a limit, in eye distances and radians: farther away, what was measured near rest
 says little."""
 _SYMMETRIC = 0.25
 """Difference of the effects of both directions, relative to their sum, up to which a channel is one variable."""
+_LINEAR = 0.5
+"""The same difference above which a location without limits is not used: what little it shows alone, it does not show
+together with others. On d10, the opening of the lids then errs by a third of what it did."""
 _EFFECT = 0.005
 """Motion of a landmark below which a direction of a channel does nothing, in eye distances."""
 
 
 @dataclass(frozen=True)
 class RigChannel:
-    """A number of a rig: a coordinate of a control, a property, or a shape key.
+    """A number of a rig: a coordinate of a control, or a property.
 
     Attributes
     ----------
@@ -32,13 +44,17 @@ class RigChannel:
     bone : str
         Name of the control bone; "" for the object itself.
     kind : str
-        `LOCATION`, `ROTATION`, `PROPERTY` or `KEY`.
+        `LOCATION`, `ROTATION` or `PROPERTY`.
     index : int
         Axis of a location or rotation.
     name : str
-        Name of the property or key.
+        Name of the property.
     low, high : float
         Smallest and largest value relative to rest: in the unit of the channel, infinite without limits.
+    rest : float
+        Value at rest; of a rotation, 0.
+    unit : float
+        The eye distance in the unit of a location.
     """
 
     owner: str
@@ -48,6 +64,8 @@ class RigChannel:
     name: str = ""
     low: float = -np.inf
     high: float = np.inf
+    rest: float = 0.0
+    unit: float = 1.0
 
     @property
     def control(self) -> str:
@@ -111,6 +129,18 @@ class RigMap:
                 found[pair] = pair[::-1]
         return found
 
+    @property
+    def regions(self) -> dict[str, str]:
+        """Region of the face, a key of `REGIONS`, that each control moves most, by its name."""
+        size = np.linalg.norm(self.effects[:, :N_LANDMARKS], axis=2)
+        moved = {name: size[:, points].max(axis=1, initial=0.0) for name, points in REGIONS.items()}
+        found: dict[str, dict[str, float]] = {}
+        for k, channel in enumerate(self.channel.tolist()):
+            best = found.setdefault(self.channels[channel].control, dict.fromkeys(REGIONS, 0.0))
+            for name in REGIONS:
+                best[name] = max(best[name], float(moved[name][k]))
+        return {control: max(best, key=lambda name: best[name]) for control, best in found.items()}
+
     def values(self, variables: FloatArray) -> FloatArray:
         """Convert variables (..., K) to changes of the channels from rest, (..., C)."""
         out = np.zeros((*variables.shape[:-1], len(self.channels)))
@@ -142,8 +172,10 @@ def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sa
     kept: list[RigChannel] = []
     rows: list[tuple[int, float, FloatArray, float, float]] = []
     for channel, probed in zip(channels, probes, strict=True):
-        variables = [_variable(channel, probe, unit) for probe in probed if _acts(probe, unit)]
-        if len(variables) == 2 and _is_symmetric(*probed):
+        if _is_kinked(channel, probed):
+            continue
+        variables = [_variable(channel, probe) for probe in probed if _acts(probe, unit)]
+        if len(variables) == 2 and _difference(*probed) < _SYMMETRIC:
             variables = [_joined(*variables)]
         rows += [(len(kept), *variable) for variable in variables]
         kept += [channel] if variables else []
@@ -165,17 +197,23 @@ def _acts(probe: Probe, unit: float) -> bool:
     return bool(np.linalg.norm(probe.moved[:66], axis=1).max() > _EFFECT * unit)
 
 
-def _variable(channel: RigChannel, probe: Probe, unit: float) -> tuple[float, FloatArray, float, float]:
+def _variable(channel: RigChannel, probe: Probe) -> tuple[float, FloatArray, float, float]:
     """Scale, effect and bounds of the variable for a direction."""
     limit = channel.high if probe.step > 0.0 else -channel.low
-    reach = _REACH.get(channel.kind, np.inf) * (unit if channel.kind == LOCATION else 1.0)
+    reach = _REACH.get(channel.kind, np.inf) * (channel.unit if channel.kind == LOCATION else 1.0)
     return probe.step, probe.moved, 0.0, min(limit, max(reach, abs(probe.step))) / abs(probe.step)
 
 
-def _is_symmetric(one: Probe, other: Probe) -> bool:
-    """Whether the effects of both directions are opposite."""
+def _difference(one: Probe, other: Probe) -> float:
+    """Difference of the effects of both directions, relative to their sum."""
     a, b = one.moved / one.step, other.moved / other.step
-    return bool(np.linalg.norm(a - b) < _SYMMETRIC * np.linalg.norm(a + b))
+    return float(np.linalg.norm(a - b) / max(np.linalg.norm(a + b), 1e-30))
+
+
+def _is_kinked(channel: RigChannel, probed: Sequence[Probe]) -> bool:
+    """Whether a location without limits does something else in each direction."""
+    free = channel.kind == LOCATION and not np.isfinite(channel.low) and not np.isfinite(channel.high)
+    return free and len(probed) == 2 and _difference(*probed) > _LINEAR
 
 
 def _joined(
