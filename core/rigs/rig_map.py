@@ -26,9 +26,6 @@ _REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0)}
 says little."""
 _SYMMETRIC = 0.25
 """Difference of the effects of both directions, relative to their sum, up to which a channel is one variable."""
-_LINEAR = 0.5
-"""The same difference above which a location without limits is not used: what little it shows alone, it does not show
-together with others. On d10, the opening of the lids then errs by a third of what it did."""
 _EFFECT = 0.005
 """Motion of a landmark below which a direction of a channel does nothing, in eye distances."""
 
@@ -101,6 +98,9 @@ class RigMap:
         Displacements by each variable at 1: head frame, unit of the mesh.
     lower, upper : (K,) float64
         Bounds, which contain 0.
+    doubt : (K,) float64
+        How far each is from linear: the difference of the effects of both directions of a location without limits,
+        relative to their sum.
     unit : float
         Outer-eye distance of the head in the unit of the mesh.
     """
@@ -112,6 +112,7 @@ class RigMap:
     effects: FloatArray
     lower: FloatArray
     upper: FloatArray
+    doubt: FloatArray
     unit: float
 
     @property
@@ -160,6 +161,7 @@ class RigMap:
             self.effects[kept],
             self.lower[kept],
             self.upper[kept],
+            self.doubt[kept],
             self.unit,
         )
 
@@ -170,16 +172,16 @@ def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sa
     Channels that move no landmark are left out.
     """
     kept: list[RigChannel] = []
-    rows: list[tuple[int, float, FloatArray, float, float]] = []
+    rows: list[tuple[int, float, FloatArray, float, float, float]] = []
     for channel, probed in zip(channels, probes, strict=True):
-        if _is_kinked(channel, probed):
-            continue
+        doubt = _difference(*probed) if len(probed) == 2 and _is_free(channel) else 0.0
         variables = [_variable(channel, probe) for probe in probed if _acts(probe, unit)]
         if len(variables) == 2 and _difference(*probed) < _SYMMETRIC:
             variables = [_joined(*variables)]
-        rows += [(len(kept), *variable) for variable in variables]
+        rows += [(len(kept), *variable, doubt) for variable in variables]
         kept += [channel] if variables else []
-    numbers, scale, effects, lower, upper = (list(column) for column in zip(*rows, strict=True)) if rows else [[]] * 5
+    columns = (list(column) for column in zip(*rows, strict=True)) if rows else [[]] * 6
+    numbers, scale, effects, lower, upper, doubts = columns
     return RigMap(
         tuple(kept),
         sample,
@@ -188,6 +190,7 @@ def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sa
         np.array(effects, dtype=np.float64).reshape(len(rows), len(sample), 3),
         np.array(lower, dtype=np.float64),
         np.array(upper, dtype=np.float64),
+        np.array(doubts, dtype=np.float64),
         unit,
     )
 
@@ -210,10 +213,9 @@ def _difference(one: Probe, other: Probe) -> float:
     return float(np.linalg.norm(a - b) / max(np.linalg.norm(a + b), 1e-30))
 
 
-def _is_kinked(channel: RigChannel, probed: Sequence[Probe]) -> bool:
-    """Whether a location without limits does something else in each direction."""
-    free = channel.kind == LOCATION and not np.isfinite(channel.low) and not np.isfinite(channel.high)
-    return free and len(probed) == 2 and _difference(*probed) > _LINEAR
+def _is_free(channel: RigChannel) -> bool:
+    """Whether a channel is a location without limits."""
+    return channel.kind == LOCATION and not np.isfinite(channel.low) and not np.isfinite(channel.high)
 
 
 def _joined(

@@ -11,16 +11,18 @@ from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_minimum
 from .rig_map import RigMap
 
-_SKIN = 0.35
+_SKIN = 0.2
 """Weight of all vertices that are no landmarks, relative to that of the landmarks."""
 _CONTOUR = 0.5
 """Weight of the jaw line."""
 _LIDS = 2.0
 """Weight of the openings of the eyes."""
-_LIPS = 1.5
+_LIPS = 2.0
 """Weight of the opening of the lips."""
-_PRIOR = 1e-2
+_PRIOR = 3e-3
 """Weight of the squares of the variables, relative to the mean square of their effects."""
+_DOUBT = 10.0
+"""Factor of that weight for what is not linear, for each square of its doubt."""
 _STEADY = 2e-3
 """Weight of the squares of their changes from frame to frame, in the same unit."""
 
@@ -44,6 +46,7 @@ class RigSolver:
         size = float(np.trace(gram)) / count
         breadth = np.sqrt(np.square(rig_map.effects).sum(axis=(1, 2)))
         prior = np.square(breadth.mean() / np.maximum(breadth, 1e-12)) if len(gram) else breadth
+        prior = prior * (1.0 + _DOUBT * np.square(rig_map.doubt))
         self._steady = _STEADY * size
         self._gram = gram + np.diag(_PRIOR * size * prior)
         self._opposite = rig_map.opposite
