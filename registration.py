@@ -13,6 +13,7 @@ from .operators import (
     bake,
     calibrate,
     control_points,
+    controls,
     head,
     landmark_edit,
     own_head,
@@ -29,6 +30,7 @@ from .operators import (
 from .sessions import landmark_edit as landmark_session
 from .sessions import session, show
 from .settings import (
+    controls_properties,
     panel_properties,
     performers,
     preferences,
@@ -37,6 +39,7 @@ from .settings import (
     takes_properties,
 )
 from .ui import control_points as control_points_panel
+from .ui import controls as controls_panel
 from .ui import documentation, landmark_editor, menus, overlays, status
 from .ui import head as head_panels
 from .ui import puppet as puppet_panel
@@ -49,6 +52,7 @@ _MODULES = (
     messages,
     preferences,
     style_properties,
+    controls_properties,
     properties,
     panel_properties,
     performers,
@@ -60,6 +64,7 @@ _MODULES = (
     own_head,
     place_points,
     parts,
+    controls,
     control_points,
     puppet_video,
     puppet,
@@ -75,6 +80,7 @@ _MODULES = (
     menus,
     start_panel,
     head_panels,
+    controls_panel,
     source_panel,
     control_points_panel,
     puppet_panel,

@@ -49,6 +49,7 @@ _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("facemime.open_lips", "SCULPTMODE_HLT"),
         ("facemime.open_eyes", "HIDE_OFF"),
         ("facemime.make_expression_keys", "SHAPEKEY_DATA"),
+        ("facemime.learn_controls", "POSE_HLT"),
     ),
 )
 """Operators of the menu Facemime with their icons, in groups: live, takes, heads."""

@@ -25,6 +25,7 @@ from ..meshes import keys_of, mesh_of
 from ..muting import Silenced, animated_paths, keyed_paths, strips_of
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..own_pose import own_mode, path_of, prefix_of, rotation_channel
+from .bake_controls import control_owners, rest_controls
 from .bake_keys import remove_baked_keys, require_relative, value_path
 from .exporting import remove_cache
 from .targets import Placement, PoseTarget, carried_targets, continuous_quaternions
@@ -233,7 +234,7 @@ def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.I
     """Return all data-blocks that a bake or a session of a head may animate. Parameters are as for `check_bakeable`."""
     keys = [mesh_of(member.obj).shape_keys for member in members_of(obj)]
     keys += [mesh_of(child).shape_keys for child in filter(has_tongue, obj.children)]
-    owners = [*(target.obj for target in _all_targets(obj, targets)), *filter(None, keys)]
+    owners = [*(target.obj for target in _all_targets(obj, targets)), *control_owners(obj), *filter(None, keys)]
     return list(dict.fromkeys(owners))
 
 
@@ -251,8 +252,8 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     places = _all_targets(obj, targets)
     for target in places:
         target.begin()  # a bake of an earlier version remembers no pose of the user
-    for owner in {target.obj for target in places}:
-        remove_bake(owner)
+    for owner in {*(target.obj for target in places), *control_owners(obj)}:
+        rest_controls(obj, owner, remove_bake(owner))
     for target in places:
         target.rest()
     bpy.context.view_layer.update()

@@ -83,15 +83,19 @@ def mute_under(head: bpy.types.Object) -> int:
     return sum(len(mute_others(keys)) for keys in _shape_keys(head))
 
 
-def mute_disturbing(head: bpy.types.Object, motion: HeadMotion) -> list[Silenced]:
-    """Mute what animates shape keys of a head that move the same vertices as a bake, and return what that was."""
+def mute_disturbing(head: bpy.types.Object, motion: HeadMotion, *, drivers: bool = True) -> list[Silenced]:
+    """Mute what animates shape keys of a head that move the same vertices as a bake, and return what that was.
+
+    `drivers` is whether drivers are muted too, by which the controls of a rig may move the keys.
+    """
     members, silenced = members_of(head), []
     family = family_keys(members)
     for member in members:
         if (keys := mesh_of(member.obj).shape_keys) is not None:
             paths = _moving_the_same(member, motion)
             silenced += mute_others(keys, paths)
-            silenced += mute_paths(keys, paths & moved_paths(keys, family), curves=False)
+            if drivers:
+                silenced += mute_paths(keys, paths & moved_paths(keys, family), curves=False)
     return silenced
 
 

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients
-from ...core.bake.bake_settings import AUTOMATIC, BakeSettings
+from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
 from ...core.bake.fit import MotionBasis, fit_basis, fit_keys, mix_errors
 from ...core.bake.point_cache import SUFFIX
 from ...core.bake.whole_frames import curves_at, motion_at, whole_frames
@@ -23,6 +23,8 @@ from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of
+from ..controls.solving import solve_motion
+from ..controls.stored import read_controls
 from ..fcurves import CharacterAction
 from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
@@ -40,6 +42,7 @@ from .bake import (
     pose_targets_of,
     remove_baked,
 )
+from .bake_controls import ControlCurves, check_controls
 from .bake_keys import (
     RESIDUAL,
     KeyCurves,
@@ -113,7 +116,7 @@ def puppet_head(
     posed = timing.motion(motion)
     silenced += bake_pose(scene, obj, targets, posed, timing.keyed, **follow, clean=clean, action=action, **how)
     if not bake.keep_animation and not bake.writes_cache:
-        silenced += mute_disturbing(obj, motion)
+        silenced += mute_disturbing(obj, motion, drivers=bake.keys != CONTROLS)
     fit_range(scene, shown, bake.start, asked=bake.fit_range)
     if bake.keys == "alembic" and bake.path is not None:
         with holding_take(scene, shown):
@@ -380,7 +383,21 @@ def _cache(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: flo
     return _Plan(0, 0.0, write)
 
 
-_PLANS = {"new": _new, "named": _named, "cache": _cache, "alembic": _cache}
+def _controls(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
+    found = read_controls(obj)
+    check_controls(found)
+    solved = solve_motion(obj, found, motion.vertices[:, found.sample].astype(np.float64))
+    tolerance = bake.clean * unit if timing.is_whole else 0.0
+    curves = ControlCurves.of(found, timing.curves(solved.values), tolerance)
+
+    def write(action: CharacterAction) -> list[Silenced]:
+        LastBake.current = None
+        return curves.write(obj, timing.keyed, action, nla=bake.nla, keep=bake.keep_animation)
+
+    return _Plan(curves.count, float(solved.errors.max(initial=0.0)), write, keyframes=curves.keyframes)
+
+
+_PLANS = {"new": _new, "named": _named, CONTROLS: _controls, "cache": _cache, "alembic": _cache}
 
 
 def _with_path(settings: PuppetSettings, obj: bpy.types.Object) -> PuppetSettings:

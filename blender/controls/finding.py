@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -58,6 +59,7 @@ def channels_of(head: bpy.types.Object) -> list[RigChannel]:
 
     Raises HeadError if a rig is linked from another file.
     """
+    bpy.context.view_layer.update()  # scripts may just have scaled an armature
     found: list[RigChannel] = []
     armatures = armatures_of(head)
     sliders = [obj for obj in driving(head) if obj not in armatures and obj.visible_get()]
@@ -103,25 +105,6 @@ def path_of(channel: RigChannel, mode: str = "") -> str:
     return f"{bone}.{name}" if bone else name
 
 
-def eye_distance_of(head: bpy.types.Object) -> float:
-    """Return the outer-eye distance of a head in the unit of its mesh."""
-    points = read_vertices(mesh_of(head))[read_places(head)]
-    return float(np.linalg.norm(np.subtract(*points[OUTER_EYE_CORNERS])))
-
-
-def _meshes(head: bpy.types.Object) -> list[bpy.types.Object]:
-    return [member.obj for member in members_of(head)]
-
-
-def path_of(channel: RigChannel, mode: str = "") -> str:
-    """Return the data path of a channel; of a rotation, that of a control with this rotation mode."""
-    bone = f'pose.bones["{bpy.utils.escape_identifier(channel.bone)}"]' if channel.bone else ""
-    if channel.kind == PROPERTY:
-        return f'{bone}["{bpy.utils.escape_identifier(channel.name)}"]'
-    name = "location" if channel.kind == LOCATION else ROTATIONS.get(mode, "rotation_euler")
-    return f"{bone}.{name}" if bone else name
-
-
 def rotation_of(mode: str) -> str:
     """Return the name of the property with the rotation in a mode."""
     return {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}.get(mode, "rotation_euler")
@@ -129,7 +112,9 @@ def rotation_of(mode: str) -> str:
 
 def _driven_paths(owner: bpy.types.Object) -> set[str]:
     """Return the data paths that drivers move, with and without the index of array elements."""
-    return {path for curve in drivers_of(owner) for path in (f"{curve.data_path}[{curve.array_index}]", curve.data_path)}
+    return {
+        path for curve in drivers_of(owner) for path in (f"{curve.data_path}[{curve.array_index}]", curve.data_path)
+    }
 
 
 def _is_control(bone: bpy.types.PoseBone) -> bool:
@@ -155,8 +140,8 @@ def _of_transform(
         rest = 0.0 if bone is not None else moved.location[axis]
         free = not moved.lock_location[axis] and f"{dotted}location[{axis}]" not in driven and not connected
         if free and low < high:
-            low, high = min(low - rest, 0.0), max(high - rest, 0.0)
-            yield RigChannel(owner.name, name, LOCATION, axis, low=low, high=high, rest=rest, unit=unit)
+            down, up = min(low - rest, 0.0), max(high - rest, 0.0)
+            yield RigChannel(owner.name, name, LOCATION, axis, low=down, high=up, rest=rest, unit=unit)
     turned = {f"{dotted}{kind}" for kind in ("rotation_euler", *ROTATIONS.values())}
     if bone is not None and not turned & driven and not any(moved.lock_rotation):
         for axis, (low, high) in enumerate(turns):
@@ -183,9 +168,7 @@ def _limits(moved: bpy.types.Object | bpy.types.PoseBone, kind: str) -> list[tup
     return limits
 
 
-def _of_properties(
-    owner: bpy.types.Object, bone: bpy.types.PoseBone | None, driven: set[str]
-) -> Iterator[RigChannel]:
+def _of_properties(owner: bpy.types.Object, bone: bpy.types.PoseBone | None, driven: set[str]) -> Iterator[RigChannel]:
     """Yield the channels of custom properties that are real numbers with a range."""
     holder, bone_name = (owner, "") if bone is None else (bone, bone.name)
     for name in list(holder.keys()):
@@ -193,7 +176,7 @@ def _of_properties(
         channel = RigChannel(owner.name, bone_name, PROPERTY, name=name)
         if not isinstance(value, float) or path_of(channel) in driven:
             continue
-        shown = holder.id_properties_ui(name).as_dict()
+        shown: dict[str, Any] = holder.id_properties_ui(name).as_dict()  # type: ignore[attr-defined]  # its stub is empty
         low, high = (float(shown.get(f"soft_{end}", shown[end])) - value for end in ("min", "max"))
         if high > low and max(-low, high) < _MOST:
             yield replace(channel, low=min(low, 0.0), high=max(high, 0.0), rest=value)

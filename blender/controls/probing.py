@@ -90,8 +90,8 @@ class Learning:
         """Return the first step of a channel: of one with a limit, the only one."""
         if np.isfinite(limit) and channel.kind != ROTATION:
             return limit * (_INSIDE if channel.kind == PROPERTY else 1.0)
-        step = _FIRST.get(channel.kind, 0.1) * (channel.unit if channel.kind == LOCATION else 1.0)
-        return min(step, limit)
+        step = float(_FIRST.get(channel.kind, 0.1)) * (channel.unit if channel.kind == LOCATION else 1.0)
+        return float(min(step, limit))
 
     def _touches(self, numbers: list[int]) -> bool:
         """Return whether a control moves the face at all, if all its channels of a kind are moved at once; a rotation,

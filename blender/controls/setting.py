@@ -37,6 +37,7 @@ class ControlValues:
         self._axes = np.array([channel.index for channel in self.channels], dtype=np.intp)
         self._at_rest = np.array([channel.rest for channel in self.channels])
         self._own = {group: _read(*group) for group in self._groups}
+        self._uids = {owner: bpy.data.objects[owner].session_uid for owner, *_ in self._groups}
         self._written = np.full(len(self.channels), np.nan)
 
     def write(self, values: FloatArray) -> None:
@@ -48,8 +49,11 @@ class ControlValues:
         self._written = np.array(values, dtype=np.float64)
 
     def restore(self) -> None:
-        """Give every channel the value that it had, to the last bit."""
+        """Give every channel the value that it had, to the last bit; controls that were deleted are left out."""
         for (owner, bone, kind, name), own in self._own.items():
+            obj = bpy.data.objects.get(owner)
+            if obj is None or obj.session_uid != self._uids[owner] or not _has(obj, bone):
+                continue
             holder = holder_of(owner, bone)
             if kind == PROPERTY:
                 holder[name] = own
@@ -73,9 +77,13 @@ def held(channels: Sequence[RigChannel]) -> Iterator[ControlValues]:
 def holder_of(owner: str, bone: str) -> Holder:
     """Return the bone or object that has a channel; raises HeadError if there is none."""
     obj = bpy.data.objects.get(owner)
-    if obj is None or (bone and (obj.type != "ARMATURE" or bone not in posed_bones(obj))):
+    if obj is None or not _has(obj, bone):
         raise HeadError("The control {name} is missing. Learn the controls again.", name=bone or owner)
     return posed_bones(obj)[bone] if bone else obj
+
+
+def _has(obj: bpy.types.Object, bone: str) -> bool:
+    return not bone or (obj.type == "ARMATURE" and bone in posed_bones(obj))
 
 
 def _attribute(holder: Holder, kind: str) -> str:
@@ -114,7 +122,8 @@ def rotated(mode: str, vector: FloatArray, before: Sequence[float] | None = None
     turn = Quaternion(axis, angle)
     if mode == "AXIS_ANGLE":
         side = -1.0 if before is not None and axis.dot(Vector(before[1:])) < 0.0 else 1.0
-        return (side * angle, *(side * axis))
+        return (side * angle, *(side * axis)[:])
     if mode == "QUATERNION":
-        return tuple(-turn if before is not None and turn.dot(Quaternion(before)) < 0.0 else turn)
-    return tuple(turn.to_euler(mode, Euler((0.0, 0.0, 0.0) if before is None else before, mode)))
+        side = -1.0 if before is not None and turn.dot(Quaternion(before)) < 0.0 else 1.0
+        return (side * turn.w, side * turn.x, side * turn.y, side * turn.z)
+    return turn.to_euler(mode, Euler((0.0, 0.0, 0.0) if before is None else before, mode))[:]

@@ -152,5 +152,5 @@ def sampled_vertices(rig: HeadRig) -> IntArray:
 def _spread(vertices: IntArray, most: int) -> IntArray:
     """Return at most `most` of some vertices."""
     if len(vertices) <= most:
-        return vertices
-    return np.asarray(vertices[np.linspace(0, len(vertices) - 1, most).astype(np.intp)])
+        return np.asarray(vertices, dtype=np.intp)
+    return np.asarray(vertices[np.linspace(0, len(vertices) - 1, most).astype(np.intp)], dtype=np.intp)

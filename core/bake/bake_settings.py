@@ -9,10 +9,10 @@ from typing import Literal
 from ..files.setting import Choice, setting
 from ..heads.key_map import KeyMap
 
-AUTOMATIC = "automatic"
+AUTOMATIC, CONTROLS = "automatic", "controls"
 FIRST_FRAME, CURRENT_FRAME, SCENE_START = "first", "current", "scene"
 Start = Literal["first", "current", "scene"]
-Keys = Literal["automatic", "new", "named", "mapped", "cache", "alembic"]
+Keys = Literal["automatic", "new", "named", "mapped", "controls", "cache", "alembic"]
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,12 @@ class BakeSettings:
 
     Attributes
     ----------
-    keys : {"automatic", "new", "named", "mapped", "cache", "alembic"}
+    keys : {"automatic", "new", "named", "mapped", "controls", "cache", "alembic"}
         "automatic" is "named" for a built-in head with shape keys for expressions, "mapped" for another character with
         a known set, and otherwise "new". "new" adds shape keys. "named" fits the mesh's existing shape keys to the
-        motion of its vertices. "mapped" sets them from ARKit's coefficients by a key mapping. "cache" writes a point
-        cache for the Mesh Cache modifier, and "alembic" also an Alembic file.
+        motion of its vertices. "mapped" sets them from ARKit's coefficients by a key mapping. "controls" sets the
+        controls of the character's own rig, which were learnt. "cache" writes a point cache for the Mesh Cache
+        modifier, and "alembic" also an Alembic file.
     max_keys : int
         Maximum number of new shape keys; the report states the error.
     residual : bool
@@ -70,6 +71,12 @@ class BakeSettings:
                 "Existing Shape Keys by Mapping",
                 "Animate the head's shape keys according to the key mapping",
                 2,
+            ),
+            Choice(
+                CONTROLS,
+                "Rig Controls",
+                "Animate the controls of the character's own rig, once Learn Controls has found them",
+                6,
             ),
             Choice("cache", "Mesh Cache", "Store every vertex exactly, in a .pc2 file", 3),
             Choice(

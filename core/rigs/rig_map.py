@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,20 +149,23 @@ class RigMap:
             out[..., channel] += variables[..., k] * self.scale[k]
         return out
 
+    def of_landmarks(self) -> RigMap:
+        """Return the map of the landmarks alone."""
+        return replace(self, sample=self.sample[:N_LANDMARKS], effects=self.effects[:, :N_LANDMARKS])
+
     def chosen(self, wanted: NDArray[np.bool_]) -> RigMap:
         """Return the map of some of the channels, (C,)."""
         kept = wanted[self.channel]
         numbers = np.cumsum(wanted) - 1
-        return RigMap(
-            tuple(channel for channel, use in zip(self.channels, wanted.tolist(), strict=True) if use),
-            self.sample,
-            numbers[self.channel[kept]],
-            self.scale[kept],
-            self.effects[kept],
-            self.lower[kept],
-            self.upper[kept],
-            self.doubt[kept],
-            self.unit,
+        return replace(
+            self,
+            channels=tuple(channel for channel, use in zip(self.channels, wanted.tolist(), strict=True) if use),
+            channel=numbers[self.channel[kept]],
+            scale=self.scale[kept],
+            effects=self.effects[kept],
+            lower=self.lower[kept],
+            upper=self.upper[kept],
+            doubt=self.doubt[kept],
         )
 
 
@@ -202,9 +205,9 @@ def _acts(probe: Probe, unit: float) -> bool:
 
 def _variable(channel: RigChannel, probe: Probe) -> tuple[float, FloatArray, float, float]:
     """Scale, effect and bounds of the variable for a direction."""
-    limit = channel.high if probe.step > 0.0 else -channel.low
-    reach = _REACH.get(channel.kind, np.inf) * (channel.unit if channel.kind == LOCATION else 1.0)
-    return probe.step, probe.moved, 0.0, min(limit, max(reach, abs(probe.step))) / abs(probe.step)
+    size, limit = abs(probe.step), channel.high if probe.step > 0.0 else -channel.low
+    reach = float(_REACH.get(channel.kind, np.inf)) * (channel.unit if channel.kind == LOCATION else 1.0)
+    return probe.step, probe.moved, 0.0, min(limit, max(reach, size)) / size
 
 
 def _difference(one: Probe, other: Probe) -> float:

@@ -6,9 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..face.landmarks import JAW, LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
+from ..face.landmarks import JAW, LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS, outer_eye_distance
+from ..heads.built_in import load_head
 from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_minimum
+from ..numeric.linalg import multiply
 from .rig_map import RigMap
 
 _SKIN = 0.2
@@ -41,7 +43,7 @@ class RigSolver:
         self.map = rig_map
         self._weights = _weights(len(rig_map.sample))
         self._rows = self._features(rig_map.effects)
-        gram = self._rows @ self._rows.T
+        gram = multiply(self._rows, self._rows.T)
         count = max(len(gram), 1)
         size = float(np.trace(gram)) / count
         breadth = np.sqrt(np.square(rig_map.effects).sum(axis=(1, 2)))
@@ -61,7 +63,7 @@ class RigSolver:
 
     def reset(self) -> None:
         """Forget the last frame."""
-        self._last[:] = 0.0
+        self._last = np.zeros(len(self._last))
 
     def solve(self, target: FloatArray, evaluate: Evaluate | None = None, corrections: int = 0) -> FloatArray:
         """Return the changes of the channels from rest, (C,), for displacements (S, 3) of the sampled vertices.
@@ -69,16 +71,18 @@ class RigSolver:
         `evaluate` moves the rig itself, whose difference from the linear model is taken into account `corrections`
         times.
         """
+        return self.map.values(self.variables(target, evaluate, corrections))
+
+    def variables(self, target: FloatArray, evaluate: Evaluate | None = None, corrections: int = 0) -> FloatArray:
+        """Return the variables of the map, (K,), as `solve`."""
         wanted = self._features(target)
-        products = self._rows @ wanted
-        x = self._bounded(products)
+        x = self._bounded(multiply(self._rows, wanted))
         for _ in range(corrections if evaluate is not None else 0):
             assert evaluate is not None
-            missed = self._rows.T @ x - self._features(evaluate(self.map.values(x)))
-            products = products + self._rows @ missed
-            x = self._bounded(self._rows @ wanted + self._rows @ missed, x)
+            missed = multiply(self._rows.T, x) - self._features(evaluate(self.map.values(x)))
+            x = self._bounded(multiply(self._rows, wanted + missed), x)
         self._last = x
-        return self.map.values(x)
+        return x
 
     def _bounded(self, products: FloatArray, start: FloatArray | None = None) -> FloatArray:
         """Solve within the bounds, (K,), one direction of each channel at a time."""
@@ -93,6 +97,20 @@ class RigSolver:
             free = ~weaker
             x[free] = bounded_minimum(gram[np.ix_(free, free)], products[free], lower[free], upper[free], x[free])
         return x
+
+
+def share_shown(rig_map: RigMap) -> float:
+    """Return how much of the motion of the landmarks in ARKit's expressions a rig can show, 0 to 1."""
+    head = load_head()
+    size = rig_map.unit / outer_eye_distance(head.vertices[head.landmarks])
+    expressions = size * head.units[:, head.landmarks].astype(np.float64)
+    solver = RigSolver(landmarks := rig_map.of_landmarks())
+    off = []
+    for wanted in expressions:
+        solver.reset()
+        off.append(wanted - np.einsum("k,ksc->sc", solver.variables(wanted), landmarks.effects))
+    missed, size = (float(np.linalg.norm(each, axis=2).sum()) for each in (np.array(off), expressions))
+    return max(1.0 - missed / size, 0.0)
 
 
 def _weights(count: int) -> FloatArray:

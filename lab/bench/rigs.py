@@ -24,7 +24,16 @@ from facemime.blender.meshes import mesh_of
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import drive_take
 from facemime.core.errors import HeadError
-from facemime.core.face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS
+from facemime.core.face.landmarks import (
+    BROWS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    LIPS,
+    LOWER_LIDS,
+    LOWER_LIPS,
+    UPPER_LIDS,
+    UPPER_LIPS,
+)
 from facemime.core.heads.key_map import expression_keys
 from facemime.core.numeric.arrays import FloatArray
 from facemime.core.puppet.performer import Performance

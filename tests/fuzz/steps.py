@@ -184,6 +184,7 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "remove_part": press("remove_part", name=any_object),
     "set_bone": press("set_bone", target=one_of("head", "eye_right", "eye_left")),
     "make_expression_keys": press("make_expression_keys", keys=one_of("vrm", "oculus")),
+    "learn_controls": press("learn_controls"),
     "mute_others": press("mute_others"),
     "add_corrections": press("add_corrections"),
     "remove_corrections": press("remove_corrections"),

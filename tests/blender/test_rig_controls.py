@@ -1,0 +1,207 @@
+"""Controls of a character's own rig: learnt, solved, baked."""
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.controls.probing import Learning, learn_controls
+from facemime.blender.controls.solving import solve_motion
+from facemime.blender.controls.stored import read_controls, write_controls
+from facemime.blender.fcurves import curves_in
+from facemime.blender.frames import from_blender
+from facemime.blender.heads.new_heads import add_head
+from facemime.blender.meshes import key_names, mesh_of
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.errors import HeadError
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from facemime.core.rigs.rig_map import LOCATION, ROTATION
+from tests.helpers.face_rigs import make_face_rig, state
+from tests.helpers.takes import performance
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+@pytest.fixture
+def rigged():
+    """A head on a made rig, which is active."""
+    bpy.context.scene.render.fps = 25
+    head, armature = make_face_rig()
+    bpy.context.view_layer.objects.active = head
+    bpy.context.view_layer.update()
+    return head, armature
+
+
+def bake(head, **options):
+    """Bake the performance to the controls."""
+    settings = PuppetSettings(bake=BakeSettings(keys="controls", **options), neutral=0.0)
+    return puppet_head(bpy.context.scene, head, performance(), settings)
+
+
+def seen(head):
+    """(V, 3) vertices as displayed, in the head frame."""
+    mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    flat = np.empty(3 * len(mesh.vertices), np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    return from_blender(flat.reshape(-1, 3))
+
+
+def own_paths(armature):
+    return {curve.data_path for curve in curves_in(armature.animation_data)}
+
+
+def test_learning_finds_the_controls_of_the_face_and_no_others(rigged):
+    found = learn_controls(rigged[0])
+    expected = {"Hinge", "Slider", "lift", *(f"c{number}" for number in range(len(rigged[1].pose.bones) - 4))}
+    assert set(found.controls) == expected
+    assert not {"Skull", "Side", "Hidden"} & set(found.controls)
+    assert {channel.bone for channel in found.channels if channel.kind == ROTATION} == {"Hinge"}
+    assert (1, "c1") not in {(channel.index, channel.bone) for channel in found.channels if channel.kind == LOCATION}
+
+
+def test_learning_leaves_every_channel_bit_for_bit_as_it_was(rigged):
+    before = state(rigged[1])
+    learn_controls(rigged[0])
+    assert state(rigged[1]) == before
+
+
+def test_learning_that_is_stopped_restores_the_rig(rigged):
+    before, learning = state(rigged[1]), Learning(rigged[0])
+    steps = learning.steps()
+    for _ in range(20):
+        next(steps)
+    assert state(rigged[1]) != before
+    learning.close()
+    assert state(rigged[1]) == before
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_scaled_armature_with_other_rolls_and_modes_is_learnt_alike(seed):
+    plain = learn_controls(make_face_rig(seed)[0])
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    scaled = learn_controls(make_face_rig(seed, scale=100.0)[0])
+    assert set(plain.controls) == set(scaled.controls)
+    shown = [np.linalg.norm(found.effects[:, :66], axis=(1, 2)).sum() for found in (plain, scaled)]
+    np.testing.assert_allclose(*shown, rtol=0.15)
+
+
+def test_random_poses_of_the_rig_are_found_again(rigged):
+    head, found = rigged[0], learn_controls(rigged[0])
+    random = np.random.default_rng(3)
+    share = random.uniform(0.0, 0.4, (12, len(found.channel))) * (random.random((12, len(found.channel))) < 0.2)
+    wanted = np.einsum("nk,ksc->nsc", np.minimum(share, found.upper), found.effects)
+    solved = solve_motion(head, found, wanted)
+    off = np.linalg.norm(wanted, axis=2).max()
+    assert solved.errors.mean() < 0.15 * off
+
+
+def test_controls_are_stored_with_the_head(rigged, tmp_path):
+    head = rigged[0]
+    assert bpy.ops.facemime.learn_controls() == {"FINISHED"}
+    name, count = head.name, len(head.facemime.controls)
+    assert count > 10 and 0.3 < head.facemime.controls_shown <= 1.0
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rig.blend"))
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "rig.blend"))
+    assert len(read_controls(bpy.data.objects[name]).controls) == count
+
+
+def test_a_changed_rig_has_to_be_learnt_again(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    read_controls(head)
+    armature.pose.bones["c3"].lock_location[0] = True
+    with pytest.raises(HeadError, match="Learn the controls again"):
+        read_controls(head)
+
+
+def test_posing_the_rig_does_not_make_the_controls_stale(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    armature.pose.bones["Skull"].location = (0.0, 0.1, 0.0)
+    armature.pose.bones["c3"].location = (0.01, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    read_controls(head)
+
+
+def test_controls_that_are_switched_off_are_not_used_and_stay_off(rigged):
+    head = rigged[0]
+    write_controls(head, learn_controls(head))
+    head.facemime.controls["Hinge"].use = False
+    assert "Hinge" not in read_controls(head).controls
+    write_controls(head, learn_controls(head))
+    assert not head.facemime.controls["Hinge"].use
+
+
+def test_a_head_without_a_rig_says_that_no_control_moves_it():
+    head = add_head(bpy.context)
+    with pytest.raises(HeadError, match="No control"):
+        learn_controls(head)
+    with pytest.raises(HeadError, match="Learn Controls"):
+        bake(head)
+
+
+def test_a_bake_animates_the_controls_alone(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    before, keys = state(armature), key_names(head)
+    report = bake(head)
+    assert key_names(head) == keys
+    assert state(armature)["Side"] == before["Side"]
+    paths = own_paths(armature)
+    assert paths and not any("Skull" in path or "Side" in path or "Hidden" in path for path in paths)
+    drivers = mesh_of(head).shape_keys.animation_data.drivers
+    assert not any(curve.mute for curve in drivers)
+    assert report.keyframes < 0.6 * report.frames
+
+
+def test_a_bake_plays_back_what_was_solved(rigged):
+    head, armature = rigged
+    armature.pose.bones["c2"].location = (0.0, 0.0, 0.0)
+    found = learn_controls(head)
+    write_controls(head, found)
+    bpy.context.view_layer.update()
+    rest = seen(head)[found.sample]
+    report = bake(head, clean=0.0)
+    wanted, worst, off, size = report.motion.vertices[:, found.sample], 0.0, [], []
+    for row in range(0, len(wanted), 4):
+        bpy.context.scene.frame_set(1 + round(report.motion.times[row] * 25.0))
+        away = np.linalg.norm(seen(head)[found.sample] - rest - wanted[row], axis=1)
+        worst = max(worst, away.max())
+        off.append(away[:66].mean())
+        size.append(np.linalg.norm(wanted[row, :66], axis=1).mean())
+    assert worst <= (report.worst_error + 1e-4) * found.unit
+    assert np.mean(off) < 0.6 * np.mean(size)
+
+
+def test_baked_controls_stay_within_their_limits(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    bake(head)
+    slider = bpy.data.objects["Slider"]
+    low = slider.constraints[0].min_z
+    for frame in range(1, 61):
+        bpy.context.scene.frame_set(frame)
+        assert low - 1e-5 <= slider.location.z <= low + 0.2 + 1e-5
+        assert -1e-6 <= armature["lift"] <= 1.0 + 1e-6
+        assert np.abs(armature.pose.bones["c0"].location).max() <= 0.01 + 1e-6
+
+
+def test_a_second_bake_replaces_the_first_and_one_to_keys_removes_it(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    bake(head)
+    count = len(curves_in(armature.animation_data))
+    bake(head)
+    assert len(curves_in(armature.animation_data)) == count
+    settings = PuppetSettings(bake=BakeSettings(keys="new"), neutral=0.0)
+    puppet_head(bpy.context.scene, head, performance(), settings)
+    assert not own_paths(armature)
+    assert armature.pose.bones["c3"].location[:] == (0.0, 0.0, 0.0) and armature["lift"] == 0.0
+
+
+def test_curves_are_grouped_by_region(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    bake(head)
+    groups = {curve.group.name for curve in curves_in(armature.animation_data) if curve.group is not None}
+    assert {"Mouth", "Eyes", "Brows"} <= groups
