@@ -145,8 +145,7 @@ class RigMap:
     def values(self, variables: FloatArray) -> FloatArray:
         """Convert variables (..., K) to changes of the channels from rest, (..., C)."""
         out = np.zeros((*variables.shape[:-1], len(self.channels)))
-        for k, channel in enumerate(self.channel.tolist()):
-            out[..., channel] += variables[..., k] * self.scale[k]
+        np.add.at(out, (..., self.channel), variables * self.scale)
         return out
 
     def of_landmarks(self) -> RigMap:

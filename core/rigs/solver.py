@@ -56,7 +56,7 @@ class RigSolver:
 
     def _features(self, moved: FloatArray) -> FloatArray:
         """Weighted rows that are compared, (..., R), of displacements (..., S, 3), in eye distances."""
-        flat = (moved * self._weights[:, None]).reshape(*moved.shape[:-2], -1)
+        flat = (moved * self._weights[:, None]).reshape(*moved.shape[:-2], 3 * len(self._weights))
         lids = _LIDS * (moved[..., UPPER_LIDS, 1] - moved[..., LOWER_LIDS, 1])
         lips = _LIPS * (moved[..., UPPER_LIPS, 1] - moved[..., LOWER_LIPS, 1])
         return np.asarray(np.concatenate([flat, lids, lips], axis=-1) / self.map.unit)

@@ -6,10 +6,12 @@ import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from facemime.blender.characters import write_bones
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import mesh_of, read_places, read_regions, read_vertices
 from facemime.core.face.landmarks import BROWS, CHIN, LIPS, LOWER_LIDS, UPPER_LIDS
+from facemime.core.heads.part_names import FaceBones
 
 _REACH = 0.3
 """Reach of a bone, in eye distances."""
@@ -94,6 +96,9 @@ def _weight(
             group.add([vertex], float(row[vertex]), "REPLACE")
     modifier = head.modifiers.new("Rig", "ARMATURE")
     modifier.object = armature
+    head.parent = armature
+    head.matrix_parent_inverse = armature.matrix_basis.inverted()
+    write_bones(head, armature, FaceBones(head="Skull"))
 
 
 def _modes(armature: bpy.types.Object, random: np.random.Generator) -> None:
