@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-rigs bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
 
 setup: $(STAMP)
 
@@ -167,6 +167,13 @@ bench-correct: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.correct --json build/bench/correct.json
 	$(BIN)/python -m lab.bench.teaching $(CLIPS)/clips $(STRANGERS) --json build/bench/teaching.json
+
+# Controls of rigs, learnt and solved for; needs ../shared/data. Five minutes.
+bench-rigs: setup
+	mkdir -p build/bench
+	$(BIN)/facemime track ../shared/data/expressions/clips/d10.mp4 -o build/bench/d10.facetake
+	$(BIN)/facemime track assets/sample/sample.mp4 -o build/bench/sample.facetake
+	$(BIN)/python -m lab.bench.rigs ../shared/data/rigs/*.blend --takes build/bench/d10.facetake build/bench/sample.facetake --json build/bench/rigs.json
 
 # The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
 bench-coefficients: setup

@@ -1,4 +1,4 @@
-"""What the controls of a rig do to a face, as measured by moving each a little (method.md, section 10.1)."""
+"""What the controls of a rig do to a face, as measured by moving each a little (method.md, section 9.7)."""
 
 from __future__ import annotations
 

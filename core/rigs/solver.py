@@ -1,4 +1,4 @@
-"""Values of a rig's controls that show a face (method.md, section 10.2)."""
+"""Values of a rig's controls that show a face (method.md, section 9.7)."""
 
 from __future__ import annotations
 
