@@ -176,7 +176,7 @@ def main() -> None:
         rows += own
         learnt.append(summary)
     columns = ("rig", "controls", "variables", "learnt in, s", "round trip, landmarks", "skin")
-    tables = [Table("Errors relative to the motion", COLUMNS, rows), Table("Learning", columns, learnt)]
+    tables = [Table("Errors relative to the motion", COLUMNS, rows), Table("Learning of controls", columns, learnt)]
     finish(options, tables, {"rows": rows, "learnt": learnt})
     sys.stdout.flush()
     os._exit(0)  # bpy may hang at its end once a file with Rigify's properties was open
