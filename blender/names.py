@@ -21,6 +21,9 @@ LIVE_PROPERTY = "facemime_live"
 VALUES_PROPERTY = "facemime_values"
 """Custom property of shape keys during a live session: their values before it, as JSON."""
 
+CONTROLS_PROPERTY = "facemime_controls"
+"""Custom property of an object during a live session: the values of its controls before it, as JSON."""
+
 ASIDE_PROPERTY = "facemime_aside"
 """Custom property of an object or shape keys during a live session: what is muted meanwhile, as JSON."""
 

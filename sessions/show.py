@@ -31,7 +31,7 @@ from ..core.takes.take import Take
 from ..core.tracking.result import TrackResult
 from ..settings.values import place_take, pose_targets, puppet_settings
 from .session import Session
-from .start import keys_of
+from .start import controls_of, keys_of
 
 _INTERVAL = 0.05
 """Seconds between two looks at the settings."""
@@ -89,7 +89,7 @@ class TakeShow(Session):
         keys = [keys_of(scene, obj) for obj in objects]
         follow = Follow(settings.rotation, settings.translation)
         heads = [
-            LiveHeadObject(obj, pose_targets(settings.posing, obj), follow, names_of(own))
+            LiveHeadObject(obj, pose_targets(settings.posing, obj), follow, names_of(own), controls_of(scene, obj))
             for obj, own in zip(objects, keys, strict=True)
         ]
         self.drivers = [self._driver(read_rig(obj), own, None) for obj, own in zip(objects, keys, strict=True)]
@@ -143,7 +143,7 @@ class TakeShow(Session):
                 rig = replace(driver.rig, style=read_style(shown.obj)) if same_rigs else read_rig(shown.obj)
                 self.drivers[number] = self._driver(rig, keys, driver)
                 shown.follow = Follow(wanted.puppet.rotation, wanted.puppet.translation)
-                shown.drive_by(names_of(keys))
+                shown.drive_by(names_of(keys), controls_of(scene, shown.obj))
         self.show(scene)
 
     def show(self, scene: bpy.types.Scene) -> None:

@@ -8,13 +8,16 @@ from dataclasses import replace
 import bpy
 
 from ..blender.animation.live import Follow, LiveHeadObject
-from ..blender.animation.live_keys import KEYS, live_keys, names_of
+from ..blender.animation.live_controls import CONTROLS
+from ..blender.animation.live_keys import KEYS, SKIN, live_keys, names_of
+from ..blender.controls.stored import read_controls
 from ..blender.rigs import read_rig, rig_checks
 from ..blender.styles import read_style, style_state
 from ..core.errors import HeadError
 from ..core.puppet.outputs import DrivenOutput, LiveHead, LiveKeys
 from ..core.puppet.sources import LiveSource
 from ..core.puppet.worker import LiveOptions
+from ..core.rigs.rig_map import RigMap
 from ..core.streams.source import StreamSource
 from ..core.takes.neutral import Neutral
 from ..core.tracking.tracking_settings import TrackingSettings
@@ -52,7 +55,9 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     options = drive_settings(settings)
     keys = [keys_of(scene, obj) for obj in objects]
     shown = [
-        LiveHeadObject(obj, pose_targets(settings.posing, obj), _follow(settings), names_of(own))
+        LiveHeadObject(
+            obj, pose_targets(settings.posing, obj), _follow(settings), names_of(own), controls_of(scene, obj)
+        )
         for obj, own in zip(objects, keys, strict=True)
     ]
     heads = [
@@ -100,9 +105,14 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
 
 def keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
     """Return the keys that drive a head, using the mapping in the panel if it has rows and is requested."""
-    choice = scene.facemime.drive_by
+    choice = SKIN if scene.facemime.drive_by == CONTROLS else scene.facemime.drive_by
     bake = scene.facemime_takes.bake
     return live_keys(obj, choice, read_table(bake) if choice == KEYS and len(bake.rows) else None)
+
+
+def controls_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> RigMap | None:
+    """Return the controls that drive a head; None if something else does. Raises FacemimeError as `read_controls`."""
+    return read_controls(obj) if scene.facemime.drive_by == CONTROLS else None
 
 
 def _styles(heads: Sequence[LiveHeadObject]) -> tuple[object, ...]:
@@ -143,7 +153,7 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
             keys, rig = head.keys, head.rig
             if not shown.gone:
                 keys, rig = keys_of(scene, shown.obj), replace(rig, style=read_style(shown.obj))
-                shown.drive_by(names_of(keys))
+                shown.drive_by(names_of(keys), controls_of(scene, shown.obj))
             heads.append(replace(head, keys=keys, rig=rig))
         session.update(heads)
     session.keep = settings.keep_pose

@@ -327,6 +327,7 @@ class FacemimeSettings(bpy.types.PropertyGroup):
             ),
             ("SKIN", "Skin", "Move the skin with the performer's landmarks"),
             ("KEYS", "Shape Keys", "Drive existing shape keys by the key mapping, which is detected if it is empty"),
+            ("CONTROLS", "Controls", "Set the controls of the character's own rig, which Learn Controls has found"),
         ),
     )
     learn: BoolProperty(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import bpy
 import numpy as np
@@ -11,21 +12,23 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadFrame
 from ...core.errors import HeadError, messages
+from ...core.rigs.rig_map import RigMap
 from ..characters import members_of
 from ..contexts import scene_of
 from ..fcurves import make_actions_own
 from ..meshes import exists, keys_of, mesh_of
-from ..names import PART_PROPERTY
+from ..names import CONTROLS_PROPERTY, PART_PROPERTY
 from ..own_pose import move_own
 from .aside import bake_of, moving, restore, set_aside, values_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .bake_keys import family_keys, following_paths
+from .live_controls import LiveControls
 from .live_keys import LiveValues
 from .live_mesh import LiveMesh, changed
 from .targets import PoseTarget, carried_targets
 
-FlatMeshes = Sequence[NDArray[np.float32]]
-"""Arrays for `foreach_set`, one for each mesh of a head."""
+FlatMeshes = Sequence[NDArray[np.floating[Any]]]
+"""Arrays for `foreach_set`, one for each mesh of a head; or the values of its controls alone."""
 _DELTAS = ("delta_location", "delta_rotation")
 """Prefixes of the data paths of the channels that pose an object."""
 _TARGET_LABELS = messages({"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"})
@@ -53,19 +56,23 @@ class LiveHeadObject:
     follow : Follow, optional
     keys : tuple of str
         The shape keys whose values show the performance, in the order of `HeadFrame.keys`; () for the live key.
+    controls : RigMap, optional
+        The controls of the character's own rig that show the performance instead.
 
     Raises
     ------
     HeadError
-        If the object is not a mesh, is linked, or has absolute shape keys.
+        If the object is not a mesh, is linked, or has absolute shape keys, or a control is missing.
     """
 
     obj: bpy.types.Object
     targets: Mapping[str, PoseTarget]
     follow: Follow = field(default_factory=Follow)
     keys: tuple[str, ...] = ()
+    controls: RigMap | None = None
 
     def __post_init__(self) -> None:
+        self._controls = None if self.controls is None else LiveControls(self.obj, self.controls)
         self._meshes = [LiveMesh(member) for member in members_of(self.obj)]
         self._name = self.obj.name
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
@@ -87,7 +94,7 @@ class LiveHeadObject:
             head = None if target.head is None else there.get(self._uids[id(target.head)])
             if place is not None:
                 targets[name] = replace(target, obj=place, head=head)
-        return LiveHeadObject(obj, targets, self.follow, self.keys)
+        return LiveHeadObject(obj, targets, self.follow, self.keys, self.controls)
 
     @property
     def vertices(self) -> int:
@@ -98,7 +105,13 @@ class LiveHeadObject:
     def prepare(self) -> Callable[[HeadFrame], FlatMeshes]:
         """Function that prepares a frame for `write` without touching Blender's data, for the worker's thread."""
         members = [shown.member for shown in self._meshes]
-        return lambda frame: [member.local(frame.vertices) for member in members]
+
+        def prepared(frame: HeadFrame) -> FlatMeshes:
+            if (controls := self._controls) is not None:
+                return [controls.solve(frame)]
+            return [member.local(frame.vertices) for member in members]
+
+        return prepared
 
     @property
     def gone(self) -> bool:
@@ -108,7 +121,8 @@ class LiveHeadObject:
     @property
     def left_in_file(self) -> bool:
         """Whether the open file has the head as a session displays it, as after undoing a step of the session."""
-        return any(shown.left_in_file for shown in self._meshes)
+        posed = [] if self._controls is None else self._controls.owners
+        return any(shown.left_in_file for shown in self._meshes) or any(CONTROLS_PROPERTY in owner for owner in posed)
 
     @property
     def blocks(self) -> set[bpy.types.ID]:
@@ -130,13 +144,18 @@ class LiveHeadObject:
             shown.require_same()
         make_actions_own(self._animated_owners())
         for shown in self._living_meshes():
-            shown.attach(self._values_of(shown.obj) if self.keys else None)
+            if self._controls is None or mesh_of(shown.obj).shape_keys is not None:
+                by_values = self.keys or self._controls is not None
+                shown.attach(self._values_of(shown.obj) if by_values else None)
+        if self._controls is not None:
+            self._controls.attach()
         for target in self._living_targets():
             target.begin()
         for owner in self._owners():
             channels = (
                 *_DELTAS,
                 *(path for target in self._living_targets() if target.obj == owner for path in target.channels),
+                *([] if self._controls is None else self._controls.paths(owner)),
             )
             set_aside(owner, [*moving(owner, channels), *bake_of(owner)])
         self._moving = [target for target in self._carried if not target.bone and values_aside(target.obj, _DELTAS, 0)]
@@ -146,21 +165,24 @@ class LiveHeadObject:
         if (keys := mesh_of(obj).shape_keys) is None:
             return None
         family = family_keys([shown.member for shown in self._living_meshes()])
-        return LiveValues(keys, self.keys, following_paths(keys, family))
+        names = self.keys if self._controls is None else ()
+        return LiveValues(keys, names, following_paths(keys, family))
 
     def _owners(self) -> list[bpy.types.ID]:
         """Return the data-blocks whose animation is set aside: of the pose, and of the tongue."""
         parts = [child for child, _ in self._living_parts()]
         posed = [target.obj for target in (*self._carried, *self.targets.values()) if target.exists]
         tongues = [keys_of(tongue) for tongue in filter(has_tongue, parts)]
-        return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues]))
+        controls = [] if self._controls is None else self._controls.owners
+        return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues, *controls]))
 
-    def drive_by(self, keys: tuple[str, ...]) -> None:
-        """Show the following frames through the values of `keys`, or through the live key if `keys` is empty."""
-        if keys != self.keys:
+    def drive_by(self, keys: tuple[str, ...], controls: RigMap | None = None) -> None:
+        """Show the following frames through the values of `keys`, through controls, or through the live key."""
+        if keys != self.keys or controls is not self.controls:
             shown = self._shown
             self.detach(keep=False, blocks=False)
-            self.keys = keys
+            self.keys, self.controls = keys, controls
+            self._controls = None if controls is None else LiveControls(self.obj, controls)
             if shown:
                 self.attach()
 
@@ -184,9 +206,7 @@ class LiveHeadObject:
                     label=_TARGET_LABELS[name],
                 )
         if len(frame.keys) == len(self.keys):  # otherwise it was computed before the way of driving was changed
-            for shown, positions in zip(self._meshes, self.prepare(frame) if flat is None else flat, strict=True):
-                if not shown.gone:
-                    shown.write(positions, frame.keys)
+            self._write_face(frame, flat)
         rotation = frame.rotation if self.follow.rotation else None
         translation = frame.translation if self.follow.translation else None
         for target in self._carried:
@@ -203,6 +223,20 @@ class LiveHeadObject:
             if eye in self.targets:
                 self.targets[eye].apply(frame.gaze[side], None)
 
+    def _write_face(self, frame: HeadFrame, flat: FlatMeshes | None) -> None:
+        """Display the face; what was prepared before the way of driving was changed is prepared again."""
+        sizes = [3 * len(shown.mesh.vertices) for shown in self._meshes]
+        if self._controls is not None:
+            sizes = [len(self._controls.found.channels)]
+        if flat is None or [len(each) for each in flat] != sizes:
+            flat = self.prepare(frame)
+        if self._controls is not None:
+            self._controls.write(flat[0])
+            return
+        for shown, positions in zip(self._meshes, flat, strict=True):
+            if not shown.gone:
+                shown.write(positions, frame.keys)
+
     def detach(self, *, keep: bool, blocks: bool = True) -> bool:
         """Stop displaying frames, and return whether a data-block was removed, so that an undo step must be pushed.
 
@@ -213,6 +247,8 @@ class LiveHeadObject:
         if not self._shown:
             return False
         self._shown = False
+        if self._controls is not None:
+            self._controls.detach(keep=keep)
         for owner in self._owners():
             restore(owner)
         removed = [shown.detach(keep=keep, blocks=blocks and not self._goes(shown)) for shown in self._meshes]
@@ -243,6 +279,7 @@ class LiveHeadObject:
         """Yield the data-blocks whose animation is muted during the session."""
         yield self.obj
         yield from (target.obj for target in self._living_targets())
+        yield from () if self._controls is None else self._controls.owners
         for obj in (*(shown.obj for shown in self._living_meshes()), *(child for child, _ in self._living_parts())):
             if (keys := getattr(obj.data, "shape_keys", None)) is not None:
                 yield keys

@@ -22,6 +22,7 @@ from ..names import BAKED_KEY_PREFIX, LIVE_PROPERTY, VALUES_PROPERTY
 from ..own_pose import release_live
 from .aside import display_of, keys, restore, restore_all, set_aside
 from .bake_keys import require_relative, value_path
+from .live_controls import clear_all_controls
 from .live_keys import LiveValues, clear_values
 
 LIVE_KEY = "Facemime Live"
@@ -183,6 +184,7 @@ def clear_all_live(*, blocks: bool, but: Collection[bpy.types.ID] = ()) -> bool:
     meshes and shape keys of the running session; `blocks` is as for `LiveHeadObject.detach`.
     """
     restore_all(but)
+    clear_all_controls(but)
     release_live(but)
     for own in bpy.data.shape_keys:
         if VALUES_PROPERTY in own and own.library is None and own not in but:

@@ -48,6 +48,10 @@ class ControlValues:
                 _write(group, self._own[group], self._axes[numbers], (self._at_rest + values)[numbers])
         self._written = np.array(values, dtype=np.float64)
 
+    def own_of(self, owner: str) -> list[list[Any]]:
+        """Return the values that the channels of an object had: bone, kind, name, and the value."""
+        return [[bone, kind, name, own] for (obj, bone, kind, name), own in self._own.items() if obj == owner]
+
     def restore(self) -> None:
         """Give every channel the value that it had, to the last bit; controls that were deleted are left out."""
         for (owner, bone, kind, name), own in self._own.items():

@@ -149,8 +149,7 @@ def sampled_vertices(rig: HeadRig) -> IntArray:
     return np.concatenate([rig.landmarks, _spread(face, _OTHERS)]).astype(np.intp)
 
 
-def _spread(vertices: IntArray, most: int) -> IntArray:
+def _spread(vertices: IntArray, most: int) -> NDArray[np.intp]:
     """Return at most `most` of some vertices."""
-    if len(vertices) <= most:
-        return np.asarray(vertices, dtype=np.intp)
-    return np.asarray(vertices[np.linspace(0, len(vertices) - 1, most).astype(np.intp)], dtype=np.intp)
+    chosen = np.linspace(0, len(vertices) - 1, most).astype(np.intp) if len(vertices) > most else slice(None)
+    return vertices[chosen].astype(np.intp)

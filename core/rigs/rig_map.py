@@ -144,9 +144,9 @@ class RigMap:
 
     def values(self, variables: FloatArray) -> FloatArray:
         """Convert variables (..., K) to changes of the channels from rest, (..., C)."""
-        out = np.zeros((*variables.shape[:-1], len(self.channels)))
-        np.add.at(out, (..., self.channel), variables * self.scale)
-        return out
+        shares = np.zeros((len(self.channel), len(self.channels)))
+        shares[np.arange(len(self.channel)), self.channel] = self.scale
+        return np.asarray(variables @ shares)
 
     def of_landmarks(self) -> RigMap:
         """Return the map of the landmarks alone."""
@@ -204,9 +204,10 @@ def _acts(probe: Probe, unit: float) -> bool:
 
 def _variable(channel: RigChannel, probe: Probe) -> tuple[float, FloatArray, float, float]:
     """Scale, effect and bounds of the variable for a direction."""
-    size, limit = abs(probe.step), channel.high if probe.step > 0.0 else -channel.low
+    size, limit = abs(probe.step), float(channel.high if probe.step > 0.0 else -channel.low)
     reach = float(_REACH.get(channel.kind, np.inf)) * (channel.unit if channel.kind == LOCATION else 1.0)
-    return probe.step, probe.moved, 0.0, min(limit, max(reach, size)) / size
+    farthest: float = min(limit, max(reach, size))
+    return probe.step, probe.moved, 0.0, farthest / size
 
 
 def _difference(one: Probe, other: Probe) -> float:

@@ -2,7 +2,8 @@
 
 Each frame of a take is shown by a head's own deformation, which is the target, and by its rig. Errors are relative to
 the motion of the target: mean distance over mean displacement, and for the openings of lids and lips the same of the
-gaps; also without the mean of a clip, which is mostly an error of the neutral face that no rig should follow. The floor of a rig whose controls drive shape keys is what its keys show when each is free.
+gaps; also without the mean of a clip, which is mostly an error of the neutral face that no rig should follow. The floor
+of a rig whose controls drive shape keys is what its keys show when each is free.
 """
 
 from __future__ import annotations

@@ -12,12 +12,17 @@ from facemime.blender.controls.view import FaceView
 from facemime.blender.fcurves import curves_in
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import key_names, mesh_of
+from facemime.blender.names import CONTROLS_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.rigs.rig_map import LOCATION, ROTATION
+from facemime.core.takes.file import save_take
+from facemime.sessions.show import TakeShow
+from facemime.sessions.start import start_session
 from tests.helpers.face_rigs import make_face_rig, state
+from tests.helpers.live_ticks import wait_for
 from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
@@ -207,3 +212,115 @@ def test_curves_are_grouped_by_region(rigged):
     bake(head)
     groups = {curve.group.name for curve in curves_in(armature.animation_data) if curve.group is not None}
     assert {"Mouth", "Eyes", "Brows"} <= groups
+
+
+def show(head, by="CONTROLS"):
+    """Preview the performance on the head."""
+    bpy.context.scene.facemime.drive_by = by
+    return TakeShow(bpy.context.scene, [head], performance())
+
+
+def test_a_preview_moves_the_controls_and_puts_them_back(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    before, keys = state(armature), len(mesh_of(head).shape_keys.key_blocks)
+    shown = show(head)
+    bpy.context.scene.frame_set(40)
+    during = state(armature)
+    assert sum(during[name] != before[name] for name in before) > 10
+    assert during["Side"] == before["Side"] and len(mesh_of(head).shape_keys.key_blocks) == keys
+    shown.close()
+    after = state(armature)
+    assert {name for name in after if after[name] != before[name]} <= {"Skull"}
+    assert CONTROLS_PROPERTY not in armature
+
+
+def test_a_preview_shows_the_performance_by_the_controls(rigged):
+    head, armature = rigged
+    armature.pose.bones["c2"].location = (0.0, 0.0, 0.0)
+    bpy.context.view_layer.update()
+    found = learn_controls(head)
+    write_controls(head, found)
+    view = FaceView(head, read_rig(head))
+    rest = view.look().face[:66]
+    shown = show(head)
+    off, size = [], []
+    for frame in range(30, 60, 6):
+        bpy.context.scene.frame_set(frame)
+        wanted = shown.frames[0].vertices[found.sample[:66]] - read_rig(head).vertices[found.sample[:66]]
+        off.append(np.linalg.norm(view.look().face[:66] - rest - wanted, axis=1).mean())
+        size.append(np.linalg.norm(wanted, axis=1).mean())
+    shown.close()
+    view.close()
+    assert np.mean(off) < 0.7 * np.mean(size)
+
+
+def test_what_drives_a_preview_can_be_changed_while_it_runs(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    before, shown = state(armature), show(head, "SKIN")
+    bpy.context.scene.frame_set(40)
+    bpy.context.scene.facemime.drive_by = "CONTROLS"
+    assert shown.follow(bpy.context.scene)
+    assert state(armature)["c5"] != before["c5"]
+    bpy.context.scene.facemime.drive_by = "SKIN"
+    shown.follow(bpy.context.scene)
+    assert state(armature)["c5"] == before["c5"]
+    shown.close()
+
+
+def test_a_preview_of_controls_that_are_not_known_is_refused(rigged):
+    with pytest.raises(HeadError, match="Learn Controls"):
+        show(rigged[0])
+
+
+def test_a_file_saved_during_a_preview_opens_with_the_users_values(rigged, tmp_path):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    before, path = state(armature), str(tmp_path / "during.blend")
+    shown = show(head)
+    bpy.context.scene.frame_set(40)
+    bpy.ops.wm.save_as_mainfile(filepath=path, copy=True)
+    shown.close()
+    bpy.ops.wm.open_mainfile(filepath=path)
+    after = state(bpy.data.objects["Rig"])
+    assert {name for name in after if after[name] != before[name]} <= {"Skull"}
+
+
+def test_an_animated_rig_plays_on_after_a_preview(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    bone = armature.pose.bones["c4"]
+    for frame, height in ((1, 0.0), (60, 0.01)):
+        bone.location[2] = height
+        bone.keyframe_insert("location", index=2, frame=frame)
+    shown = show(head)
+    bpy.context.scene.frame_set(40)
+    shown.close()
+    bpy.context.scene.frame_set(60)
+    assert bone.location[2] == pytest.approx(0.01)
+    assert not any(curve.mute for curve in curves_in(armature.animation_data))
+
+
+def test_a_live_puppet_moves_the_controls(rigged, tmp_path):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    save_take(performance(), tmp_path / "take.facetake")
+    settings = bpy.context.scene.facemime
+    settings.source.kind, settings.source.take, settings.drive_by = "TAKE", str(tmp_path / "take.facetake"), "CONTROLS"
+    settings.source.loop = True
+    before, session = state(armature), start_session(bpy.context.scene, [head])
+    wait_for(lambda: session.step() and state(armature)["c12"] != before["c12"])
+    session.close()
+    assert state(armature)["c12"] == before["c12"]
+
+
+def test_an_undo_during_a_preview_leaves_the_rig_at_rest(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    before, shown = state(armature), show(head)
+    bpy.context.scene.frame_set(40)
+    again = [head.found_again() for head in shown.heads]
+    assert again[0].controls is shown.heads[0].controls
+    shown.close()
+    assert state(armature)["c5"] == before["c5"]

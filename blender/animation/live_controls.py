@@ -1,0 +1,111 @@
+"""Controls of a character's own rig during a session: their values, which are restored at its end.
+
+The values before are kept in a custom property of the object that has the controls, and restored from there.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection
+from typing import Any
+
+import bpy
+import numpy as np
+from numpy.typing import NDArray
+
+from ...core.drive.driver import HeadFrame
+from ...core.numeric.arrays import FloatArray
+from ...core.rigs.rig_map import PROPERTY, RigMap
+from ...core.rigs.solver import RigSolver
+from ..controls.finding import path_of
+from ..controls.setting import ControlValues, holder_of
+from ..meshes import mesh_of, posed_bones, read_vertices
+from ..names import CONTROLS_PROPERTY
+from ..own_pose import rotation_channel
+
+CONTROLS = "CONTROLS"
+
+
+class LiveControls:
+    """Controls of a head that display a performance, without corrections by evaluating the rig.
+
+    Raises HeadError if a control is missing.
+    """
+
+    def __init__(self, head: bpy.types.Object, found: RigMap) -> None:
+        self.found = found
+        self._solver = RigSolver(found)
+        self._rest = read_vertices(mesh_of(head))[found.sample].astype(np.float64)
+        self._values = ControlValues(found.channels)
+
+    @property
+    def owners(self) -> list[bpy.types.Object]:
+        """The objects that have the controls, as far as they exist."""
+        names = dict.fromkeys(channel.owner for channel in self.found.channels)
+        return [bpy.data.objects[name] for name in names if name in bpy.data.objects]
+
+    def paths(self, owner: bpy.types.ID) -> list[str]:
+        """Return the data paths of the controls of an object."""
+        paths = []
+        for channel in self.found.channels:
+            if channel.owner == owner.name:
+                mode = "" if channel.kind == PROPERTY else holder_of(channel.owner, channel.bone).rotation_mode
+                paths.append(path_of(channel, mode))
+        return list(dict.fromkeys(paths))
+
+    def solve(self, frame: HeadFrame) -> NDArray[np.float64]:
+        """Return the changes of the channels from rest that show a frame, (C,); may be called in a thread."""
+        return self._solver.solve(frame.vertices[self.found.sample] - self._rest)
+
+    def attach(self) -> None:
+        """Remember the values of the controls."""
+        self._values = ControlValues(self.found.channels)
+        for owner in self.owners:
+            if CONTROLS_PROPERTY not in owner:
+                owner[CONTROLS_PROPERTY] = json.dumps(self._values.own_of(owner.name))
+
+    def write(self, values: FloatArray) -> None:
+        """Set the controls, (C,); raises HeadError if one was deleted."""
+        self._values.write(values)
+
+    def detach(self, *, keep: bool) -> None:
+        """Restore the values, or leave them as they are if `keep`."""
+        for owner in self.owners:
+            if keep:
+                owner.pop(CONTROLS_PROPERTY, None)
+            clear_controls(owner)
+
+
+def clear_controls(owner: bpy.types.Object) -> None:
+    """Restore the values that controls had before a session, even one that ended in a crash."""
+    try:
+        kept = json.loads(str(owner.get(CONTROLS_PROPERTY, "[]")))
+    except ValueError:
+        kept = []
+    for item in kept if isinstance(kept, list) else []:
+        _restore(owner, item)
+    owner.pop(CONTROLS_PROPERTY, None)
+    owner.update_tag()
+
+
+def _restore(owner: bpy.types.Object, item: Any) -> None:
+    """Restore a control from [bone, kind, name, value], which users and add-ons may have edited."""
+    try:
+        bone, kind, name, value = item
+        if bone and (owner.pose is None or bone not in posed_bones(owner)):
+            return
+        holder = posed_bones(owner)[bone] if bone else owner
+        if kind == PROPERTY:
+            if name in holder:
+                holder[name] = float(value)
+        else:
+            setattr(holder, "location" if kind == "location" else rotation_channel(holder), value)
+    except (TypeError, ValueError):
+        return
+
+
+def clear_all_controls(but: Collection[bpy.types.ID] = ()) -> None:
+    """Restore the controls of all objects, except some, that sessions have left as they set them."""
+    for owner in bpy.data.objects:
+        if CONTROLS_PROPERTY in owner and owner.library is None and owner not in but:
+            clear_controls(owner)
