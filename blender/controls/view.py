@@ -152,4 +152,5 @@ def sampled_vertices(rig: HeadRig) -> IntArray:
 def _spread(vertices: IntArray, most: int) -> NDArray[np.intp]:
     """Return at most `most` of some vertices."""
     chosen = np.linspace(0, len(vertices) - 1, most).astype(np.intp) if len(vertices) > most else slice(None)
-    return vertices[chosen].astype(np.intp)
+    found: NDArray[np.intp] = vertices[chosen].astype(np.intp)
+    return found

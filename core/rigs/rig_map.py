@@ -26,8 +26,8 @@ _REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0)}
 says little."""
 _SYMMETRIC = 0.25
 """Difference of the effects of both directions, relative to their sum, up to which a channel is one variable."""
-_EFFECT = 0.005
-"""Motion of a landmark below which a direction of a channel does nothing, in eye distances."""
+_EFFECT = 0.02
+"""Motion of the face below which a direction of a channel does nothing, in eye distances."""
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ class RigMap:
 def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sample: IntArray, unit: float) -> RigMap:
     """Build a map from the probes of each channel, one for each direction in which it can move.
 
-    Channels that move no landmark are left out.
+    Channels that do not move the face are left out.
     """
     kept: list[RigChannel] = []
     rows: list[tuple[int, float, FloatArray, float, float, float]] = []
@@ -198,8 +198,8 @@ def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sa
 
 
 def _acts(probe: Probe, unit: float) -> bool:
-    """Whether a direction moves a landmark."""
-    return bool(np.linalg.norm(probe.moved[:66], axis=1).max() > _EFFECT * unit)
+    """Whether a direction moves the face."""
+    return bool(np.linalg.norm(probe.moved, axis=1).max() > _EFFECT * unit)
 
 
 def _variable(channel: RigChannel, probe: Probe) -> tuple[float, FloatArray, float, float]:
@@ -213,7 +213,7 @@ def _variable(channel: RigChannel, probe: Probe) -> tuple[float, FloatArray, flo
 def _difference(one: Probe, other: Probe) -> float:
     """Difference of the effects of both directions, relative to their sum."""
     a, b = one.moved / one.step, other.moved / other.step
-    return float(np.linalg.norm(a - b) / max(np.linalg.norm(a + b), 1e-30))
+    return float(np.linalg.norm(a - b)) / max(float(np.linalg.norm(a + b)), 1e-30)
 
 
 def _is_free(channel: RigChannel) -> bool:

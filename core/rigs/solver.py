@@ -23,6 +23,8 @@ _LIPS = 2.0
 """Weight of the opening of the lips."""
 _PRIOR = 3e-3
 """Weight of the squares of the variables, relative to the mean square of their effects."""
+_NARROW = 0.1
+"""Motion by a control, relative to the mean of all, below which it is not made heavier still."""
 _DOUBT = 10.0
 """Factor of that weight for what is not linear, for each square of its doubt."""
 _STEADY = 2e-3
@@ -47,7 +49,7 @@ class RigSolver:
         count = max(len(gram), 1)
         size = float(np.trace(gram)) / count
         breadth = np.sqrt(np.square(rig_map.effects).sum(axis=(1, 2)))
-        prior = np.square(breadth.mean() / np.maximum(breadth, 1e-12)) if len(gram) else breadth
+        prior = np.square(breadth.mean() / np.maximum(breadth, _NARROW * breadth.mean())) if len(gram) else breadth
         prior = prior * (1.0 + _DOUBT * np.square(rig_map.doubt))
         self._steady = _STEADY * size
         self._gram = gram + np.diag(_PRIOR * size * prior)

@@ -46,7 +46,7 @@ def test_a_linear_channel_is_one_variable_and_a_kinked_one_two():
     assert found.doubt[0] < 0.01 < 0.5 < found.doubt[1]
 
 
-def test_a_channel_that_moves_no_landmark_is_left_out():
+def test_a_channel_that_does_not_move_the_face_is_left_out():
     still = RigChannel("Rig", "still", PROPERTY, name="p", low=0.0, high=1.0)
     found = map_of([still, bone("a", 1)[0]], [[Probe(0.5, np.zeros((90, 3)))], bone("a", 1)[1]], SAMPLE, UNIT)
     assert found.controls == ["a"]
