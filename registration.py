@@ -4,7 +4,7 @@ import atexit
 
 import bpy
 
-from .blender import messages, style_properties
+from .blender import control_properties, messages, style_properties
 from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
 from .cli import entry
@@ -30,7 +30,6 @@ from .operators import (
 from .sessions import landmark_edit as landmark_session
 from .sessions import session, show
 from .settings import (
-    controls_properties,
     panel_properties,
     performers,
     preferences,
@@ -52,7 +51,7 @@ _MODULES = (
     messages,
     preferences,
     style_properties,
-    controls_properties,
+    control_properties,
     properties,
     panel_properties,
     performers,

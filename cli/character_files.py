@@ -10,6 +10,7 @@ from pathlib import Path
 
 import bpy
 
+from ..blender import control_properties, style_properties
 from ..blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
@@ -19,7 +20,6 @@ from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.meshes import can_be_driven
 from ..blender.rendering import quiet, set_rate
-from ..blender.style_properties import ensure_registered
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files.capture import check_readable, require_utf8_name
 from ..core.files.locks import temporary_folder
@@ -227,7 +227,8 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
     FacemimeError if the file cannot be read, the object does not exist, several have landmarks, or no face is found.
     """
     path, name = file.path, file.name
-    ensure_registered()
+    style_properties.ensure_registered()
+    control_properties.ensure_registered()
     with read_from(path):
         open_file(path)
         bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]

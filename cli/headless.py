@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blender import control_properties, style_properties
 from ..blender.animation.bake_report import PuppetReport
 from ..blender.animation.exporting import caches_beside, export_gltf, saved_by_blender
 from ..blender.animation.puppet import check_heads, puppet_head
@@ -22,7 +23,6 @@ from ..blender.meshes import mesh_of, write_selection
 from ..blender.preview_scene import FaceView, face_view, setup_preview
 from ..blender.rendering import render_frames, set_rate, without_subdivision, write_video
 from ..blender.rigs import read_rig
-from ..blender.style_properties import ensure_registered
 from ..blender.styles import add_style
 from ..blender.timeline import frames_of
 from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
@@ -66,7 +66,8 @@ def open_stage(job: PuppetJob) -> Stage:
     The built-in head has its face units as shape keys if the bake uses existing keys. Raises FacemimeError if a file
     cannot be read, the object does not exist, none or several have landmarks, or the head cannot be driven or baked.
     """
-    ensure_registered()
+    style_properties.ensure_registered()
+    control_properties.ensure_registered()
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
     style = None if job.style is None else _style(job.style)

@@ -7,7 +7,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as _
 
 from ..blender.controls.probing import Learning
-from ..blender.controls.stored import write_controls
+from ..blender.controls.stored import rig_group, write_controls
 from ..sessions.session import Session
 from .shared import OnHead, report, require_mesh, require_object_mode, required_subject
 from .steps import WorksInSteps
@@ -33,5 +33,5 @@ class FACEMIME_OT_learn_controls(WorksInSteps, OnHead, bpy.types.Operator):
                 yield learning.done / max(learning.total, 1)
             found = learning.result()
         write_controls(head, found)
-        share = round(100.0 * head.facemime.controls_shown)
+        share = round(100.0 * rig_group(head).shown)
         report(self, "{count} controls found; they can show {share} %", count=len(found.controls), share=share)

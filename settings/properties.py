@@ -25,7 +25,6 @@ from ..core.streams.transport.addresses import PORT as PAIRING_PORT
 from ..core.streams.transport.security import load_identity
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import PORT
-from .controls_properties import FacemimeControl
 from .rna import with_settings
 from .storage import private_folder
 
@@ -130,9 +129,6 @@ class FacemimeHead(bpy.types.PropertyGroup):
         min=0,
         max=99,
     )
-    controls: CollectionProperty(type=FacemimeControl)
-    controls_data: StringProperty(options={"HIDDEN"})
-    controls_shown: FloatProperty(options={"HIDDEN"})
 
 
 @with_settings(SendSettings)

@@ -2,7 +2,7 @@
 
 import bpy
 
-from ..blender.controls.stored import has_controls
+from ..blender.controls.stored import has_controls, rig_group
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..core.errors import messages
@@ -29,9 +29,9 @@ class FACEMIME_PT_controls(OnHead, bpy.types.Panel):
         if not known:
             labels(layout, context, "Bones and sliders of the character's own rig, which a take can be baked to")
             return
-        settings = head.facemime
+        settings = rig_group(head)
         text = _("{count} controls found; they can show {share} %")
-        share = round(100.0 * settings.controls_shown)
+        share = round(100.0 * settings.shown)
         layout.label(text=text.format(count=len(settings.controls), share=share), translate=False)
         for region in REGIONS:
             if own := [item for item in settings.controls if item.region == region]:

@@ -33,26 +33,26 @@ def write_controls(head: bpy.types.Object, found: RigMap) -> None:
             "(Object > Library Override > Make), or make it local.",
             name=head.name,
         )
-    group = _group(head)
+    group = rig_group(head)
     unused = {item.name for item in group.controls if not item.use}
     group.controls.clear()
     for name, region in sorted(found.regions.items(), key=lambda item: item[1]):
         item = group.controls.add()
         item.name, item.region, item.use = name, region, name not in unused
-    group.controls_shown = share_shown(found)
-    group.controls_data = base64.b64encode(to_bytes(found, fingerprint(head))).decode()
+    group.shown = share_shown(found)
+    group.data = base64.b64encode(to_bytes(found, fingerprint(head))).decode()
 
 
 def has_controls(head: bpy.types.Object) -> bool:
     """Return whether the controls of a head were learnt."""
-    group = _group(head)
-    return group is not None and bool(group.controls_data)
+    group = rig_group(head)
+    return group is not None and bool(group.data)
 
 
 def stored_map(head: bpy.types.Object) -> RigMap | None:
     """Return all that was learnt, even if it is stale; None if nothing was, or it is damaged."""
     try:
-        return _decoded(_group(head).controls_data)[0] if has_controls(head) else None
+        return _decoded(rig_group(head).data)[0] if has_controls(head) else None
     except SourceError:
         return None
 
@@ -67,8 +67,8 @@ def read_controls(head: bpy.types.Object) -> RigMap:
         raise HeadError(
             "The controls of {name} are not known. Use Learn Controls in the Head panel first.", name=head.name
         )
-    group = _group(head)
-    found, known = _decoded(group.controls_data)
+    group = rig_group(head)
+    found, known = _decoded(group.data)
     if known != fingerprint(head) or found.sample.max() >= len(mesh_of(head).vertices):
         raise HeadError(
             "The rig of {name} has changed since its controls were learnt. Learn the controls again.", name=head.name
@@ -80,9 +80,9 @@ def read_controls(head: bpy.types.Object) -> RigMap:
     return chosen
 
 
-def _group(head: bpy.types.Object) -> Any:
-    """Return the settings of a head; None if the extension is not registered."""
-    return getattr(head, "facemime", None)
+def rig_group(head: bpy.types.Object) -> Any:
+    """Return the properties of a head with its controls, a `FacemimeRig`; None if they are not registered."""
+    return getattr(head, "facemime_rig", None)
 
 
 @lru_cache(maxsize=4)

@@ -146,11 +146,10 @@ def _eyes(head: bpy.types.Object, rig: HeadRig) -> list[tuple[str, IntArray]]:
 def sampled_vertices(rig: HeadRig) -> IntArray:
     """Return the landmarks and other vertices of the face, spread evenly over its indices, (S,)."""
     face = np.setdiff1d(np.flatnonzero(rig.region_weights.sum(axis=0) > 0.0), rig.landmarks)
-    return np.concatenate([rig.landmarks, _spread(face, _OTHERS)]).astype(np.intp)
+    return np.asarray(np.concatenate([rig.landmarks, _spread(face, _OTHERS)]), dtype=np.intp)
 
 
 def _spread(vertices: IntArray, most: int) -> NDArray[np.intp]:
     """Return at most `most` of some vertices."""
     chosen = np.linspace(0, len(vertices) - 1, most).astype(np.intp) if len(vertices) > most else slice(None)
-    found: NDArray[np.intp] = vertices[chosen].astype(np.intp)
-    return found
+    return np.asarray(vertices[chosen], dtype=np.intp)

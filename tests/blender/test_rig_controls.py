@@ -102,8 +102,8 @@ def test_random_poses_of_the_rig_are_found_again(rigged):
 def test_controls_are_stored_with_the_head(rigged, tmp_path):
     head = rigged[0]
     assert bpy.ops.facemime.learn_controls() == {"FINISHED"}
-    name, count = head.name, len(head.facemime.controls)
-    assert count > 10 and 0.3 < head.facemime.controls_shown <= 1.0
+    name, count = head.name, len(head.facemime_rig.controls)
+    assert count > 10 and 0.3 < head.facemime_rig.shown <= 1.0
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rig.blend"))
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "rig.blend"))
     assert len(read_controls(bpy.data.objects[name]).controls) == count
@@ -130,10 +130,10 @@ def test_posing_the_rig_does_not_make_the_controls_stale(rigged):
 def test_controls_that_are_switched_off_are_not_used_and_stay_off(rigged):
     head = rigged[0]
     write_controls(head, learn_controls(head))
-    head.facemime.controls["Hinge"].use = False
+    head.facemime_rig.controls["Hinge"].use = False
     assert "Hinge" not in read_controls(head).controls
     write_controls(head, learn_controls(head))
-    assert not head.facemime.controls["Hinge"].use
+    assert not head.facemime_rig.controls["Hinge"].use
 
 
 def test_a_head_without_a_rig_says_that_no_control_moves_it():
