@@ -59,7 +59,7 @@ const JOB_TYPE = {
           description: "eye rotation relative to the performer's (1)" },
         { key: "eyes_limit", type: "float", default: 30.0,
           description: "largest rotation of the eyes from rest (30)" },
-        { key: "keys", type: "string", choices: ["automatic", "new", "named", "mapped", "cache", "alembic"], default: "automatic",
+        { key: "keys", type: "string", choices: ["automatic", "new", "named", "mapped", "controls", "cache", "alembic"], default: "automatic",
           description: "what the take is baked to (automatic)" },
         { key: "max_keys", type: "int32", default: 64,
           description: "maximum number of new shape keys (64)" },

@@ -8,6 +8,7 @@ from bpy.app.translations import pgettext_rpt as _
 
 from ..blender.controls.probing import Learning
 from ..blender.controls.stored import rig_group, write_controls
+from ..blender.heads.parts import ensure_bones
 from ..sessions.session import Session
 from .shared import OnHead, report, require_mesh, require_object_mode, required_subject
 from .steps import WorksInSteps
@@ -28,6 +29,7 @@ class FACEMIME_OT_learn_controls(WorksInSteps, OnHead, bpy.types.Operator):
         if (session := Session.running()) is not None:
             session.close()
         head = required_subject(context)
+        ensure_bones(head)
         with closing(Learning(head)) as learning:
             for _step in learning.steps():
                 yield learning.done / max(learning.total, 1)

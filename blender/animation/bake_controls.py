@@ -10,16 +10,21 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.bake.bake_settings import BakeSettings
 from ...core.bake.curves import BezierCurve, fit_key_curves
+from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import ROTATION, RigChannel, RigMap
 from ..actions import Curve, write_curves
 from ..controls.finding import path_of
 from ..controls.setting import ControlValues, holder_of, rotated
-from ..controls.stored import stored_map
+from ..controls.solving import solve_motion
+from ..controls.stored import read_controls, stored_map
 from ..fcurves import CharacterAction
 from ..muting import Silenced
+from .plan import Plan, Timing
+from .refit import LastBake
 
 
 @dataclass(frozen=True)
@@ -116,6 +121,22 @@ def _turning(channel: RigChannel, vectors: FloatArray, angle: float | None, grou
     tolerance = None if angle is None else angle / 2.0 if mode == "QUATERNION" else angle
     path = path_of(channel, mode)
     return [Curve(path, axis, column, tolerance, group=group) for axis, column in enumerate(np.array(rows).T)]
+
+
+def controls_plan(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
+    """Plan a bake to the controls of a head; raises FacemimeError as `read_controls`, or if a control is missing."""
+    found = read_controls(obj)
+    check_controls(found)
+    solved = solve_motion(obj, found, motion.vertices[:, found.sample].astype(np.float64))
+    tolerance = bake.clean * unit if timing.is_whole else 0.0
+    curves = ControlCurves.of(found, timing.curves(solved.values), tolerance)
+
+    def write(action: CharacterAction) -> list[Silenced]:
+        LastBake.current = None
+        return curves.write(obj, timing.keyed, action, nla=bake.nla, keep=bake.keep_animation)
+
+    error, count = float(solved.errors.max(initial=0.0)), len(found.controls)
+    return Plan(curves.count, error, write, keyframes=curves.keyframes, controls=count)
 
 
 def control_owners(head: bpy.types.Object) -> list[bpy.types.Object]:

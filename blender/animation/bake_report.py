@@ -21,7 +21,7 @@ class PuppetReport:
     Attributes
     ----------
     keys : int
-        Number of shape keys; 0 for a cache.
+        Number of shape keys, or curves of controls; 0 for a cache.
     worst_error : float
         Largest error of a vertex in a frame, in outer-eye distances; NaN for a head that only its keys drive.
     named_error : float
@@ -34,6 +34,8 @@ class PuppetReport:
         Frame of the scene at 0 s of the take.
     notes : tuple of str
         Further warnings.
+    controls : int
+        Number of controls of the character's own rig, if these are animated; `keys` is then that of their curves.
     """
 
     keys: int
@@ -46,6 +48,7 @@ class PuppetReport:
     others: tuple[str, ...] = ()
     start: float = 1.0
     notes: tuple[str, ...] = ()
+    controls: int = 0
 
     @property
     def warnings(self) -> list[str]:
@@ -70,6 +73,10 @@ class PuppetReport:
 
     def _keys(self) -> Message:
         keys, error = self.keys, f"{100 * self.worst_error:.2g}"
+        if self.controls:
+            return Message(
+                "{count} controls, largest error {error} % of the eye distance", count=self.controls, error=error
+            )
         if np.isnan(self.worst_error):
             return Message("{keys} shape keys", keys=keys)
         if not np.isnan(self.named_error):

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -12,7 +12,6 @@ from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
 from ...core.bake.fit import MotionBasis, fit_basis, fit_keys, mix_errors
 from ...core.bake.point_cache import SUFFIX
-from ...core.bake.whole_frames import curves_at, motion_at, whole_frames
 from ...core.drive.driver import HeadMotion, drive_take
 from ...core.drive.teaching import TaughtKeys
 from ...core.errors import HeadError, Message, OutputError
@@ -23,15 +22,13 @@ from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of
-from ..controls.solving import solve_motion
-from ..controls.stored import read_controls
 from ..fcurves import CharacterAction
 from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
 from ..muting import Silenced, name_them
 from ..names import BAKED_KEY_PREFIX
 from ..rigs import read_rig
-from ..timeline import frames_of, keyed_frame, shown_frames
+from ..timeline import frames_of
 from .bake import (
     Targets,
     animated_owners,
@@ -42,7 +39,7 @@ from .bake import (
     pose_targets_of,
     remove_baked,
 )
-from .bake_controls import ControlCurves, check_controls
+from .bake_controls import controls_plan
 from .bake_keys import (
     RESIDUAL,
     KeyCurves,
@@ -57,6 +54,7 @@ from .bake_keys import (
 from .bake_report import PuppetReport
 from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
+from .plan import Plan, Timing
 from .refit import LastBake
 from .resting import resting_values
 from .scene_range import fit_range, holding_take, outside_range, start_frame
@@ -98,7 +96,7 @@ def puppet_head(
     start = start_frame(scene, bake.start)
     unit, frames, shown = rig.eye_distance, *(frames_of(scene, times, start) for times in (motion.times, take.times))
     check_range(take, frames)
-    timing = _Timing.of(scene, frames, bake)
+    timing = Timing.of(scene, frames, bake)
     if settings.bake.keys == AUTOMATIC and bake.keys == "named":
         add_missing_units(obj)
     if bake.keys == "mapped":
@@ -137,36 +135,8 @@ def puppet_head(
         others,
         start,
         notes,
+        plan.controls,
     )
-
-
-@dataclass(frozen=True)
-class _Timing:
-    """The frames of a motion, (N,), and those of its keyframes, (M,), which are the same unless they are whole."""
-
-    frames: FloatArray
-    keyed: FloatArray
-
-    @classmethod
-    def of(cls, scene: bpy.types.Scene, frames: FloatArray, bake: BakeSettings) -> _Timing:
-        if not bake.whole_frames or bake.writes_cache:
-            return cls(frames, frames)
-        # Time Stretching shows keyframes in other frames.
-        whole = whole_frames(shown_frames(scene, frames))
-        return cls(frames, np.array([keyed_frame(scene, frame) for frame in whole]))
-
-    @property
-    def is_whole(self) -> bool:
-        """Whether keyframes are on whole frames."""
-        return self.keyed is not self.frames
-
-    def curves(self, values: FloatArray) -> FloatArray:
-        """Return curves (N, K) in the frames of the keyframes, (M, K)."""
-        return curves_at(self.frames, values, self.keyed) if self.is_whole else values
-
-    def motion(self, motion: HeadMotion) -> HeadMotion:
-        """Return a motion in these frames, without its vertices."""
-        return motion_at(self.frames, motion, self.keyed) if self.is_whole else motion
 
 
 def _what_was_muted(silenced: Sequence[Silenced]) -> str:
@@ -224,30 +194,7 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
     return read_rig(obj)
 
 
-@dataclass(frozen=True)
-class _Plan:
-    """A bake that was computed but not written yet.
-
-    Attributes
-    ----------
-    keys : int
-        Number of shape keys.
-    error, named_error : float
-        As in `PuppetReport`, in the unit of the mesh.
-    write : callable
-        Writes it, and returns what it muted.
-    keyframes : int
-        Number of keyframes of the shape keys.
-    """
-
-    keys: int
-    error: float
-    write: Callable[[CharacterAction], list[Silenced]]
-    named_error: float = float("nan")
-    keyframes: int = 0
-
-
-def _new(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
+def _new(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
     basis = fit_basis(motion.vertices, TOLERANCE * unit, bake.max_keys)
     keys = _added_keys(basis, "")
     return _values_plan(obj, keys, basis.weights, timing, unit, bake, basis.worst_error, added=keys)
@@ -260,7 +207,7 @@ def _added_keys(basis: MotionBasis, kind: str) -> MeshKeys:
     return MeshKeys(names, basis.modes, -ends, ends)
 
 
-def _named(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
+def _named(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
     keys = read_keys(members_of(obj))
     keys = keys.chosen(expression_keys(keys.names))
     fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper, exclusive_keys(keys.names))
@@ -289,11 +236,11 @@ def _mapped(
     obj: bpy.types.Object,
     rig: HeadRig,
     motion: HeadMotion,
-    timing: _Timing,
+    timing: Timing,
     unit: float,
     bake: BakeSettings,
     performed: tuple[FloatArray, Sequence[FloatArray]],
-) -> tuple[HeadMotion, _Plan]:
+) -> tuple[HeadMotion, Plan]:
     """Plan a bake by a mapping of what was `performed`: the coefficients (N, 52), and N expressions, which are
     corrected as was taught. The motion of a head that has no other is that of its keys.
     """
@@ -346,14 +293,14 @@ def _values_plan(
     obj: bpy.types.Object,
     keys: MeshKeys,
     weights: FloatArray,
-    timing: _Timing,
+    timing: Timing,
     unit: float,
     bake: BakeSettings,
     error: float,
     *,
     added: MeshKeys | None = None,
     named_error: float = float("nan"),
-) -> _Plan:
+) -> Plan:
     """Plan a bake of weights (N, K) of keys, of which those in `added` do not exist yet."""
     residual = () if added is None or added is keys else added.names
     tolerance = bake.clean * unit if timing.is_whole else 0.0
@@ -368,10 +315,10 @@ def _values_plan(
         LastBake.current = LastBake(obj.name, keys, values, curves, timing.keyed, unit) if fits_again else None
         return bake_values(members, curves, timing.keyed, action=action, nla=bake.nla, keep=bake.keep_animation)
 
-    return _Plan(len(keys.names), error, write, named_error, curves.keyframes)
+    return Plan(len(keys.names), error, write, named_error, curves.keyframes)
 
 
-def _cache(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
+def _cache(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
     if bake.path is None:
         raise OutputError("The cache has no file name. Give it a path.")
     path = bake.path.with_suffix(SUFFIX)
@@ -380,24 +327,10 @@ def _cache(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: flo
         bake_cache(members_of(obj), motion, timing.frames, path)
         return []
 
-    return _Plan(0, 0.0, write)
+    return Plan(0, 0.0, write)
 
 
-def _controls(obj: bpy.types.Object, motion: HeadMotion, timing: _Timing, unit: float, bake: BakeSettings) -> _Plan:
-    found = read_controls(obj)
-    check_controls(found)
-    solved = solve_motion(obj, found, motion.vertices[:, found.sample].astype(np.float64))
-    tolerance = bake.clean * unit if timing.is_whole else 0.0
-    curves = ControlCurves.of(found, timing.curves(solved.values), tolerance)
-
-    def write(action: CharacterAction) -> list[Silenced]:
-        LastBake.current = None
-        return curves.write(obj, timing.keyed, action, nla=bake.nla, keep=bake.keep_animation)
-
-    return _Plan(curves.count, float(solved.errors.max(initial=0.0)), write, keyframes=curves.keyframes)
-
-
-_PLANS = {"new": _new, "named": _named, CONTROLS: _controls, "cache": _cache, "alembic": _cache}
+_PLANS = {"new": _new, "named": _named, CONTROLS: controls_plan, "cache": _cache, "alembic": _cache}
 
 
 def _with_path(settings: PuppetSettings, obj: bpy.types.Object) -> PuppetSettings:

@@ -18,9 +18,9 @@ from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.surface import NearestPoints, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..characters import objects_of, read_kinds, rest_matrix, write_bones, write_kinds
+from ..characters import objects_of, read_bones, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import group_weights, mesh_of, posed_bones, read_faces, read_landmarks, read_vertices
+from ..meshes import group_weights, mesh_of, posed_bones, read_faces, read_landmarks, read_places, read_vertices
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
 
@@ -244,6 +244,13 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
     if head.parent_type == "BONE" and head.parent_bone in free:
         weights.setdefault(head.parent_bone, 1.0)
     return find_bones(free, weights)
+
+
+def ensure_bones(head: bpy.types.Object) -> None:
+    """Find the bones of head and eyes of a head that an armature deforms, unless they are known."""
+    if read_bones(head)[0] is None and (armature := armature_of(head)) is not None:
+        bones = bones_of(head, armature, read_places(head))
+        write_bones(head, armature if bones.head else None, bones)
 
 
 def _material_numbers(mesh: bpy.types.Mesh) -> NDArray[np.int32]:

@@ -157,6 +157,7 @@ def test_a_bake_animates_the_controls_alone(rigged):
     drivers = mesh_of(head).shape_keys.animation_data.drivers
     assert not any(curve.mute for curve in drivers)
     assert report.keyframes < 0.6 * report.frames
+    assert report.summary().startswith(f"{len(read_controls(head).controls)} controls, largest error")
 
 
 def test_a_bake_plays_back_what_was_solved(rigged):
