@@ -31,10 +31,12 @@ class ControlMotion:
 def solve_motion(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> ControlMotion:
     """Solve for displacements (N, S, 3) of the sampled vertices; afterwards every channel is what it was.
 
-    Raises HeadError if a control is missing.
+    The pointer shows the progress. Raises HeadError if a control is missing.
     """
     solver, view = RigSolver(found), FaceView(head, read_rig(head))
     values, errors = np.empty((len(wanted), len(found.channels))), np.empty(len(wanted))
+    manager = bpy.context.window_manager
+    manager.progress_begin(0.0, max(len(wanted), 1))
     try:
         with held(found.channels) as controls:
             controls.write(np.zeros(len(found.channels)))
@@ -45,8 +47,10 @@ def solve_motion(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> C
                 return view.look().face - rest
 
             for row, target in enumerate(wanted):
+                manager.progress_update(row)
                 values[row] = solver.solve(target, evaluate, CORRECTIONS)
                 errors[row] = np.linalg.norm(evaluate(values[row]) - target, axis=1).max()
     finally:
+        manager.progress_end()
         view.close()
     return ControlMotion(values, errors)
