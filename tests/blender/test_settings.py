@@ -21,7 +21,7 @@ def test_files_of_earlier_versions_keep_what_they_bake_to():
     items = bpy.context.scene.facemime_takes.bake.bl_rna.properties["keys"].enum_items
     assert [item.identifier for item in sorted(items, key=lambda item: item.value)] == [
         *("new", "named", "mapped", "cache", "alembic"),
-        "automatic",
+        *("automatic", "controls"),
     ]
 
 
