@@ -85,10 +85,10 @@ class Session:
         """Find the heads again after an undo, and return whether the step that was loaded was taken in the session."""
         try:
             self.heads = [head.found_again() or head for head in self.heads]
+            return any(head.left_in_file for head in self.heads)
         except HeadError as error:  # one of them can no longer be driven
             self.warning = str(error)
             return False
-        return any(head.left_in_file for head in self.heads)
 
     def overruled(self) -> list[str]:
         """Return warnings about what keeps the pose of the heads from being seen."""
