@@ -193,7 +193,7 @@ def _pinned(take: Take, given: Options) -> Take:
 
 
 def _pins_in(path: Path) -> tuple[Pin, ...]:
-    """Return the pins of a table or a take; SourceError if there are none."""
+    """Return the pins of a table or a take; SourceError if it has no pins."""
     is_take = path.suffix.lower() == SUFFIX
     pins = pins_of(load_with_warnings(path, solved=False)) if is_take else read_pins(path)
     if not pins:

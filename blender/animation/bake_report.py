@@ -25,7 +25,7 @@ class PuppetReport:
     worst_error : float
         Largest error of a vertex in a frame, in outer-eye distances; NaN for a head that only its keys drive.
     named_error : float
-        Error without the residual keys; NaN if there are none.
+        Error without the residual keys; NaN for a bake that has no such keys.
     keyframes, frames : int
         Number of keyframes of the shape keys, and that with one in each frame.
     others : tuple of str

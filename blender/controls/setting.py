@@ -79,7 +79,7 @@ def held(channels: Sequence[RigChannel]) -> Iterator[ControlValues]:
 
 
 def holder_of(owner: str, bone: str) -> Holder:
-    """Return the bone or object that has a channel; raises HeadError if there is none."""
+    """Return the bone or object that has a channel; raises HeadError if it is missing."""
     obj = bpy.data.objects.get(owner)
     if obj is None or not _has(obj, bone):
         raise HeadError("The control {name} is missing. Learn the controls again.", name=bone or owner)

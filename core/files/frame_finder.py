@@ -34,7 +34,7 @@ class FrameFinder(Closing):
         self._time = -np.inf
 
     def at(self, seconds: float) -> NDArray[np.uint8] | None:
-        """Return the image of the frame nearest to a time from the first frame, (H, W, 3) BGR; None if there is none.
+        """Return the image of the frame nearest to a time from the first frame, (H, W, 3) BGR, or None.
 
         Raises SourceError if the file can no longer be read.
         """

@@ -53,7 +53,7 @@ def thumbnail(rig: HeadRig, vertices: NDArray[np.float32]) -> bytes:
 
 
 def pixels_of(png: bytes) -> NDArray[np.float32] | None:
-    """Decode a thumbnail as RGBA from the lower left, (SIDE, SIDE, 4), 0 to 1; None if it is none."""
+    """Decode a thumbnail as RGBA from the lower left, (SIDE, SIDE, 4), 0 to 1; None if it is damaged."""
     # The size that a damaged file states is compared before memory is allocated.
     stated = _SIZE.unpack_from(png, _SIZE_AT) if len(png) > _SIZE_AT + _SIZE.size else (0, 0)
     image = cv2.imdecode(np.frombuffer(png, dtype=np.uint8), cv2.IMREAD_GRAYSCALE) if stated == (SIDE, SIDE) else None

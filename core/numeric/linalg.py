@@ -96,7 +96,7 @@ def solve_definite(matrix: FloatArray, right: FloatArray) -> FloatArray:
 
 
 def inverse_definite(matrix: FloatArray) -> FloatArray:
-    """Invert a symmetric positive definite matrix; raises LinAlgError if it is none."""
+    """Invert a symmetric matrix; raises LinAlgError unless it is positive definite."""
     lapack = _scipy().lapack
     factor, fault = lapack.dpotrf(matrix.T)
     half, also = lapack.dpotri(factor)

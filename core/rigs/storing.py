@@ -76,7 +76,7 @@ def from_bytes(data: bytes) -> tuple[RigMap, str]:
 
 
 def _channel(fields: dict[str, object]) -> RigChannel:
-    """Read a channel; raises ValueError or TypeError if it is none."""
+    """Read a channel; raises ValueError or TypeError if it is invalid."""
     channel = RigChannel(**fields)  # type: ignore[arg-type]  # checked below
     texts = (channel.owner, channel.bone, channel.kind, channel.name)
     numbers = (channel.low, channel.high, channel.rest, channel.unit)

@@ -183,11 +183,7 @@ def test_the_third_tutorial_is_walked_and_each_picture_shows_its_step(studio):
     blender, sidebar = studio.blender, studio.sidebar
     add_head_with_keys(studio)
     blender.do("bpy.context.scene.render.fps = 25")
-    blender.move(*sidebar.view(0.3))
-    blender.redraw()
-    blender.key("ctrl+s")
-    choose_file(blender, str(blender.inside), "performance.blend")
-    blender.wait_for("bpy.data.filepath.endswith('performance.blend')")
+    save_project(studio)
     rest = middle(sidebar, studio.settled("rest"))
     assert skin(rest) > 0.15
     studio.start(0.6)
@@ -234,6 +230,16 @@ def test_the_third_tutorial_is_walked_and_each_picture_shows_its_step(studio):
     blender.key("n")
     blender.redraw()
     studio.picture("baked", whole=True)
+
+
+def save_project(studio: Studio) -> None:
+    """Save the file with Ctrl-S, so that takes are stored beside it."""
+    blender = studio.blender
+    blender.move(*studio.sidebar.view(0.3))
+    blender.redraw()
+    blender.key("ctrl+s")
+    choose_file(blender, str(blender.inside), "performance.blend")
+    blender.wait_for("bpy.data.filepath.endswith('performance.blend')")
 
 
 def add_head_with_keys(studio: Studio) -> None:
