@@ -81,7 +81,7 @@ def test_a_take_is_corrected_by_pins_examples_and_a_layer_that_survive_another_b
         if number == 0:
             blender.move(*(landmark(blender, 57) + (1.0, 1.0)))
             pinned = studio.picture("landmarks", studio.shot("landmarks"))
-            assert changed(pinned, viewport) > 0.95, "the image of the frame is shown"
+            assert min(changed(pinned, viewport), changed(pinned, 0 * pinned)) > 0.5, "the image of the frame is shown"
             blender.key("ctrl+z")
             blender.wait_for(f"len({_EDIT}.editor.pins()) == 0")
             blender.key("ctrl+shift+z")
