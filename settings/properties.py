@@ -14,7 +14,6 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..blender.animation.refit import refit
 from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.errors import messages
 from ..core.puppet.puppet_settings import PuppetSettings
@@ -25,6 +24,7 @@ from ..core.streams.transport.addresses import PORT as PAIRING_PORT
 from ..core.streams.transport.security import load_identity
 from ..core.tracking.tracking_settings import TrackingSettings
 from ..core.viewer.viewer_settings import PORT
+from .callbacks import refit_last_bake
 from .rna import with_settings
 from .storage import private_folder
 
@@ -75,10 +75,6 @@ class FacemimeStream(bpy.types.PropertyGroup):
     )
 
 
-def _refit(_: "FacemimeHead", context: bpy.types.Context) -> None:
-    refit(context.scene.facemime_takes.bake.clean / 100.0)
-
-
 _STRENGTHS = messages(
     {
         "strength_brows": "Brows",
@@ -101,7 +97,7 @@ def _with_strengths(owner: type) -> type:
             min=0.0,
             max=4.0,
             soft_max=2.0,
-            update=_refit,
+            update=refit_last_bake,
         )
         for name, label in _STRENGTHS.items()
     }

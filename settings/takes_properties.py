@@ -11,11 +11,11 @@ from bpy.props import (
     StringProperty,
 )
 
-from ..blender.animation.refit import refit
 from ..core.bake.bake_settings import BakeSettings
 from ..core.errors import FacemimeError
 from ..core.face.names import COEFFICIENTS
 from ..core.heads.key_map import KeyMap, KeyRow
+from .callbacks import detail_of, refit_last_bake, set_detail
 from .rna import with_settings
 
 
@@ -36,14 +36,6 @@ class FacemimeTake(bpy.types.PropertyGroup):
         name="Video", description="The video that the take was tracked from, to edit its landmarks", subtype="FILE_PATH"
     )
     pins: StringProperty(options={"HIDDEN"})
-
-
-COARSEST = 2.0
-"""Error of curves at no detail, in percent of the eye distance."""
-
-
-def _refit(bake: "FacemimeBake") -> None:
-    refit(bake.clean / 100.0)
 
 
 class FacemimeKeyRow(bpy.types.PropertyGroup):
@@ -80,9 +72,9 @@ class FacemimeBake(bpy.types.PropertyGroup):
         precision=1,
         min=0.0,
         max=100.0,
-        get=lambda bake: 100.0 * (1.0 - min(bake.clean / COARSEST, 1.0)),
-        set=lambda bake, value: setattr(bake, "clean", COARSEST * (1.0 - value / 100.0)),
-        update=lambda bake, context: _refit(bake),
+        get=detail_of,
+        set=set_detail,
+        update=refit_last_bake,
     )
     placed: IntProperty(
         name="Frame", description="Frame at which the last take started at the current frame", default=1

@@ -2,7 +2,9 @@
 
 import subprocess
 import sys
+from inspect import get_annotations
 from pathlib import Path
+from types import FunctionType
 
 import bpy
 import numpy as np
@@ -10,9 +12,11 @@ import pytest
 from mathutils import Vector
 
 import facemime
+from facemime import registration
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_vertices
+from facemime.blender.registering import classes_of
 from facemime.core.heads.built_in import WOMAN_FILE, load_head
 from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
@@ -50,6 +54,15 @@ def test_a_program_with_blender_as_a_module_ends_whether_or_not_it_removes_the_e
     code = "import bpy, facemime; facemime.register()" + "; facemime.unregister()" * removed
     done = subprocess.run([sys.executable, "-c", code], timeout=120, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "Not freed" not in done.stdout + done.stderr
+
+
+def test_no_function_that_a_setting_calls_keeps_blender_alive():
+    """Blender 4.2 would crash when it quits."""
+    groups = [cls for module in registration._MODULES for cls in classes_of(module)]
+    groups = [cls for cls in groups if issubclass(cls, bpy.types.PropertyGroup)]
+    hints = [hint for group in groups for hint in get_annotations(group).values()]
+    called = {value for hint in hints for value in hint.keywords.values() if isinstance(value, FunctionType)}
+    assert called and not [function for function in called if bpy in function.__globals__.values()]
 
 
 def test_add_head_adds_the_head_at_the_3d_cursor():

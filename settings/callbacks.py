@@ -1,0 +1,32 @@
+"""Functions that settings call.
+
+Blender 4.2 keeps them until Python has ended, and crashes when it quits if they keep `bpy` alive until then, so neither
+this module nor what it imports at its top may import that.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import bpy
+
+    from .takes_properties import FacemimeBake
+
+_COARSEST = 2.0
+"""Error of curves at no detail, in percent of the eye distance."""
+
+
+def detail_of(bake: "FacemimeBake") -> float:
+    """Return the detail of a bake's curves, 0 to 100."""
+    return 100.0 * (1.0 - min(bake.clean / _COARSEST, 1.0))
+
+
+def set_detail(bake: "FacemimeBake", detail: float) -> None:
+    """Set the detail of a bake's curves, 0 to 100."""
+    bake.clean = _COARSEST * (1.0 - detail / 100.0)
+
+
+def refit_last_bake(_: object, context: "bpy.types.Context") -> None:
+    """Fit the keyframes of the last bake again."""
+    from ..blender.animation.refit import refit
+
+    refit(context.scene.facemime_takes.bake.clean / 100.0)
