@@ -13,6 +13,7 @@ from ...core.errors import HeadError
 from ...core.face.landmarks import CHIN
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, Probe, RigChannel, RigMap, map_of
+from ...core.rigs.symmetry import even_probes
 from ..rigs import read_rig
 from .finding import channels_of
 from .setting import ControlValues
@@ -74,7 +75,9 @@ class Learning:
 
     def result(self) -> RigMap:
         """Return what was learnt; HeadError if no control moves the face."""
-        found = map_of(self.channels, self._probes, self._view.sample, self._view.unit)
+        symmetry = self._view.symmetry
+        probes = even_probes(self._probes, symmetry) if symmetry is not None else self._probes
+        found = map_of(self.channels, probes, self._view.sample, self._view.unit)
         if not found.channels:
             raise HeadError(
                 "No control of {name} moves its face. Unhide the controls of the face, and try again.",

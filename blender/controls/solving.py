@@ -48,8 +48,8 @@ def solve_motion(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> C
 
             for row, target in enumerate(wanted):
                 manager.progress_update(row)
-                values[row] = solver.solve(target, evaluate, CORRECTIONS)
-                errors[row] = np.linalg.norm(evaluate(values[row]) - target, axis=1).max()
+                values[row], shown = solver.corrected(target, evaluate, CORRECTIONS)
+                errors[row] = np.linalg.norm(shown - target, axis=1).max()
     finally:
         manager.progress_end()
         view.close()

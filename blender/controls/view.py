@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.heads.rig import HeadRig, Part
 from ...core.numeric.arrays import FloatArray, IntArray
+from ...core.rigs.symmetry import mirror_images, symmetry_of
 from ..characters import members_of, objects_of, read_bones
 from ..frames import from_blender
 from ..meshes import mesh_of, posed_bones, rest_bones
@@ -52,6 +53,7 @@ class FaceView:
     def __init__(self, head: bpy.types.Object, rig: HeadRig) -> None:
         self._head, self.unit = head.name, rig.eye_distance
         self.sample = sampled_vertices(rig)
+        self.symmetry = symmetry_of(rig.vertices, rig.landmarks, self.sample)
         inside = rig.region_weights.sum(axis=0)
         self._inside = np.flatnonzero(inside > _INSIDE)
         self._outside = _spread(np.flatnonzero(inside <= _OUTSIDE), _MOST_OUTSIDE)
@@ -144,9 +146,19 @@ def _eyes(head: bpy.types.Object, rig: HeadRig) -> list[tuple[str, IntArray]]:
 
 
 def sampled_vertices(rig: HeadRig) -> IntArray:
-    """Return the landmarks and other vertices of the face, spread evenly over its indices, (S,)."""
-    face = np.setdiff1d(np.flatnonzero(rig.region_weights.sum(axis=0) > 0.0), rig.landmarks)
-    return np.asarray(np.concatenate([rig.landmarks, _spread(face, _OTHERS)]), dtype=np.intp)
+    """Return the landmarks and other vertices of the face, spread evenly over its indices, (S,).
+
+    Of a symmetric face, the others have their mirror images among them.
+    """
+    face = np.flatnonzero(rig.region_weights.sum(axis=0) > 0.0)
+    images = mirror_images(rig.vertices, rig.landmarks, face)
+    other = np.isin(face, rig.landmarks, invert=True)
+    if images is None:
+        chosen = _spread(face[other], _OTHERS)
+    else:
+        half = _spread(face[other & (face <= images)], _OTHERS // 2)
+        chosen = np.union1d(half, images[np.searchsorted(face, half)])
+    return np.asarray(np.concatenate([rig.landmarks, chosen]), dtype=np.intp)
 
 
 def _spread(vertices: IntArray, most: int) -> NDArray[np.intp]:

@@ -76,6 +76,18 @@ _MIRROR_IBUG = np.array(
 MIRROR: NDArray[np.intp] = from_ibug(_MIRROR_IBUG[IBUG68_INDICES])
 """(66,) mirror image of each landmark: ``points[MIRROR]`` relabels a face that was flipped left to right."""
 
+_RIGHT_HALF = np.concatenate([JAW[:8], BROWS[:5], EYE_RIGHT])
+
+
+def symmetry_plane(points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the plane of symmetry of landmarks (66, 3): a point on it, and its unit normal to the performer's left.
+
+    It passes through the mean landmark, normal to the mean direction between mirrored pairs.
+    """
+    to_left = (points[MIRROR[_RIGHT_HALF]] - points[_RIGHT_HALF]).sum(axis=0)
+    return np.asarray(points.mean(axis=0)), np.asarray(to_left / np.linalg.norm(to_left))
+
+
 EDGES: tuple[tuple[int, int], ...] = tuple(
     (int(a), int(b))
     for chain, closed in (

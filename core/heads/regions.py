@@ -16,12 +16,10 @@ from numpy.typing import NDArray
 from ..face.landmarks import (
     BROWS,
     EYE_CORNERS,
-    EYE_RIGHT,
     JAW,
     LOWER_LIDS,
     LOWER_LIP,
     LOWER_LIPS,
-    MIRROR,
     MOUTH_CORNERS,
     N_LANDMARKS,
     NOSE,
@@ -30,6 +28,7 @@ from ..face.landmarks import (
     UPPER_LIP,
     UPPER_LIPS,
     outer_eye_distance,
+    symmetry_plane,
 )
 from ..mesh.kernels import Kernel, distances, wendland
 from ..mesh.surface import NearestPoints, SurfaceGraph, edges_of
@@ -166,7 +165,6 @@ def rms_extent(points: FloatArray) -> FloatArray:
 Side = Literal["left", "right"]
 """The head's own left or right."""
 
-_RIGHT_HALF = np.concatenate([JAW[:8], BROWS[:5], EYE_RIGHT])
 _NORMAL_DISTANCE = 0.1
 """Half-distance, in outer-eye distances, that opposite normals stand for: lips that touch coincide, but face apart."""
 
@@ -183,10 +181,8 @@ def mirror_regions(
     place = np.asarray(vertices, dtype=np.float64)
     points = place[landmarks]
     unit = outer_eye_distance(points)
-    # The plane of symmetry passes through the mean landmark, normal to the mean direction between mirrored pairs.
-    to_left = (points[MIRROR[_RIGHT_HALF]] - points[_RIGHT_HALF]).sum(axis=0)
-    normal = to_left / np.linalg.norm(to_left)
-    height = (place - points.mean(axis=0)) @ normal
+    centre, normal = symmetry_plane(points)
+    height = (place - centre) @ normal
     looks = _NORMAL_DISTANCE * unit * _normals(place, faces)
     images = np.hstack([_reflected(place, height, normal), _reflected(looks, looks @ normal, normal)])
     on_source = height >= 0.0 if source == "left" else height <= 0.0

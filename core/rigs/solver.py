@@ -13,7 +13,7 @@ from ..numeric.least_squares import bounded_minimum
 from ..numeric.linalg import multiply
 from .rig_map import RigMap
 
-_SKIN = 0.2
+_SKIN = 0.35
 """Weight of all vertices that are no landmarks, relative to that of the landmarks."""
 _CONTOUR = 0.5
 """Weight of the jaw line."""
@@ -21,13 +21,13 @@ _LIDS = 2.0
 """Weight of the openings of the eyes."""
 _LIPS = 2.0
 """Weight of the opening of the lips."""
-_PRIOR = 3e-3
+_PRIOR = 3.5e-3
 """Weight of the squares of the variables, relative to the mean square of their effects."""
 _NARROW = 0.1
-"""Motion by a control, relative to the mean of all, below which it is not made heavier still."""
+"""Motion by a control, relative to the median of all, below which it is not made heavier still."""
 _DOUBT = 10.0
 """Factor of that weight for what is not linear, for each square of its doubt."""
-_STEADY = 2e-3
+_STEADY = 5e-4
 """Weight of the squares of their changes from frame to frame, in the same unit."""
 
 Evaluate = Callable[[FloatArray], FloatArray]
@@ -49,10 +49,11 @@ class RigSolver:
         count = max(len(gram), 1)
         size = float(np.trace(gram)) / count
         breadth = np.sqrt(np.square(rig_map.effects).sum(axis=(1, 2)))
-        prior = np.square(breadth.mean() / np.maximum(breadth, _NARROW * breadth.mean())) if len(gram) else breadth
+        usual = float(np.median(breadth)) if len(breadth) else 1.0
+        prior = np.square(usual / np.maximum(breadth, _NARROW * usual))
         prior = prior * (1.0 + _DOUBT * np.square(rig_map.doubt))
         self._steady = _STEADY * size
-        self._gram = gram + np.diag(_PRIOR * size * prior)
+        self._gram = gram + np.diag(_PRIOR * size * prior + self._steady)
         self._opposite = rig_map.opposite
         self._last = np.zeros(len(gram))
 
@@ -67,38 +68,40 @@ class RigSolver:
         """Forget the last frame."""
         self._last = np.zeros(len(self._last))
 
-    def solve(self, target: FloatArray, evaluate: Evaluate | None = None, corrections: int = 0) -> FloatArray:
-        """Return the changes of the channels from rest, (C,), for displacements (S, 3) of the sampled vertices.
+    def solve(self, target: FloatArray) -> FloatArray:
+        """Return the changes of the channels from rest, (C,), for displacements (S, 3) of the sampled vertices."""
+        return self.map.values(self.variables(target))
 
-        `evaluate` moves the rig itself, whose difference from the linear model is taken into account `corrections`
-        times.
-        """
-        return self.map.values(self.variables(target, evaluate, corrections))
-
-    def variables(self, target: FloatArray, evaluate: Evaluate | None = None, corrections: int = 0) -> FloatArray:
+    def variables(self, target: FloatArray) -> FloatArray:
         """Return the variables of the map, (K,), as `solve`."""
+        self._last = self._bounded(multiply(self._rows, self._features(target)))
+        return self._last
+
+    def corrected(self, target: FloatArray, evaluate: Evaluate, corrections: int) -> tuple[FloatArray, FloatArray]:
+        """Return the changes of the channels, (C,), and how the rig itself then moves the sampled vertices, (S, 3).
+
+        What the linear model misses is added to the target up to `corrections` times; the solution that comes nearest
+        is taken, as a model that is far off may lead away.
+        """
         wanted = self._features(target)
-        x = self._bounded(multiply(self._rows, wanted))
-        for _ in range(corrections if evaluate is not None else 0):
-            assert evaluate is not None
-            missed = multiply(self._rows.T, x) - self._features(evaluate(self.map.values(x)))
-            x = self._bounded(multiply(self._rows, wanted + missed), x)
-        self._last = x
-        return x
+        x, nearest = self._last, np.inf
+        shifted, found, shown = wanted, x, np.zeros_like(target)
+        for number in range(corrections + 1):
+            x = self._bounded(multiply(self._rows, shifted), x if number else None)
+            moved = evaluate(self.map.values(x))
+            features = self._features(moved)
+            off = float(np.square(features - wanted).sum())
+            if off < nearest:
+                nearest, found, shown = off, x, moved
+            shifted = wanted + multiply(self._rows.T, x) - features
+        self._last = found
+        return self.map.values(found), shown
 
     def _bounded(self, products: FloatArray, start: FloatArray | None = None) -> FloatArray:
         """Solve within the bounds, (K,), one direction of each channel at a time."""
-        gram = self._gram + self._steady * np.eye(len(products))
         products = products + self._steady * self._last
-        lower, upper = self.map.lower, self.map.upper
-        x = bounded_minimum(gram, products, lower, upper, self._last if start is None else start)
-        both = (self._opposite >= 0) & (x > 0.0) & (x[self._opposite] > 0.0)
-        if both.any():
-            weaker = both & (x * np.abs(self.map.scale) < (x * np.abs(self.map.scale))[self._opposite])
-            x[weaker] = 0.0
-            free = ~weaker
-            x[free] = bounded_minimum(gram[np.ix_(free, free)], products[free], lower[free], upper[free], x[free])
-        return x
+        start = self._last if start is None else start
+        return bounded_minimum(self._gram, products, self.map.lower, self.map.upper, start, self._opposite)
 
 
 def share_shown(rig_map: RigMap) -> float:

@@ -39,9 +39,11 @@ from facemime.core.heads.key_map import expression_keys
 from facemime.core.numeric.arrays import FloatArray
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
-from facemime.core.rigs.rig_map import PROPERTY, Probe, RigChannel, RigMap, map_of
+from facemime.core.rigs.rig_map import LOCATION, PROPERTY, Probe, RigChannel, RigMap, map_of
 from facemime.core.rigs.solver import RigSolver
+from facemime.core.rigs.symmetry import symmetry_of
 from facemime.core.takes.file import load_take
+from facemime.core.takes.mending import mirror_tracked
 from facemime.core.takes.take import Take
 from lab.bench.report import Table, finish, parser
 
@@ -82,8 +84,21 @@ def targets(head: bpy.types.Object, take: Take) -> FloatArray:
 
 
 def solved(head: bpy.types.Object, found: RigMap, wanted: FloatArray, corrections: int) -> tuple[FloatArray, float]:
-    """What the rig shows, (N, S, 3), and the milliseconds of a frame's solution without evaluations."""
+    """What the rig shows, (N, S, 3), and the milliseconds of a frame, with the evaluations for its corrections."""
+    shown, _, milliseconds = _solved(head, found, wanted, corrections)
+    return shown, milliseconds
+
+
+def values_of(head: bpy.types.Object, found: RigMap, wanted: FloatArray, corrections: int) -> FloatArray:
+    """Values of the channels, (N, C)."""
+    return _solved(head, found, wanted, corrections)[1]
+
+
+def _solved(
+    head: bpy.types.Object, found: RigMap, wanted: FloatArray, corrections: int
+) -> tuple[FloatArray, FloatArray, float]:
     view, solver, seconds, shown = FaceView(head, read_rig(head)), RigSolver(found), 0.0, []
+    used = []
     try:
         with held(found.channels) as values:
             values.write(np.zeros(len(found.channels)))
@@ -95,12 +110,16 @@ def solved(head: bpy.types.Object, found: RigMap, wanted: FloatArray, correction
 
             for target in wanted:
                 start = time.perf_counter()
-                changes = solver.solve(target, evaluate if corrections else None, corrections)
+                if corrections:
+                    changes, moved = solver.corrected(target, evaluate, corrections)
+                else:
+                    changes = solver.solve(target)
                 seconds += time.perf_counter() - start
-                shown.append(evaluate(changes))
+                used.append(changes)
+                shown.append(moved if corrections else evaluate(changes))
     finally:
         view.close()
-    return np.array(shown), 1e3 * seconds / len(wanted)
+    return np.array(shown), np.array(used), 1e3 * seconds / len(wanted)
 
 
 def floor(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> FloatArray | None:
@@ -137,9 +156,35 @@ def round_trip(head: bpy.types.Object, found: RigMap) -> tuple[float, float]:
                 wanted.append(view.look().face - rest)
     finally:
         view.close()
-    shown, _ = solved(head, found, np.array(wanted), 2)
+    # One by one, as they do not follow one another.
+    shown = np.concatenate([solved(head, found, each[None], 2)[0] for each in wanted])
     result = errors(shown, np.array(wanted))
     return result[0], result[len(PARTS)]
+
+
+def mirrored(head: bpy.types.Object, found: RigMap, take: Take, step: int) -> tuple[float, float]:
+    """How far values of controls for a mirrored take are from the mirrored values, relative to their mean size: without
+    corrections, and with two. NaN if the head is not symmetric.
+    """
+    rig = read_rig(head)
+    symmetry = symmetry_of(rig.vertices, rig.landmarks, found.sample)
+    if symmetry is None:
+        return float("nan"), float("nan")
+    rates = np.zeros((len(found.channels), *found.effects.shape[1:]))
+    np.add.at(rates, found.channel, found.effects / found.scale[:, None, None])
+    rows, images = (each.reshape(len(rates), -1) for each in (rates, symmetry.mirrored(rates)))
+    alike = rows @ images.T / np.outer(np.linalg.norm(rows, axis=1), np.linalg.norm(images, axis=1))
+    partner = np.abs(alike).argmax(axis=0)
+    sign = np.sign(alike[partner, np.arange(len(partner))])
+    units = np.array([channel.unit if channel.kind == LOCATION else 1.0 for channel in found.channels])
+    off = []
+    for corrections in (0, 2):
+        own, other = (
+            values_of(head, found, targets(head, each)[::step, found.sample], corrections) / units
+            for each in (take, mirror_tracked(take))
+        )
+        off.append(float(np.abs(other[:, partner] - sign * own).mean() / np.abs(own).mean()))
+    return off[0], off[1]
 
 
 def measure(path: Path, takes: list[Path], step: int) -> tuple[list[list[object]], list[object]]:
@@ -160,7 +205,14 @@ def measure(path: Path, takes: list[Path], step: int) -> tuple[list[list[object]
             how = f"{corrections} corrections"
             rows.append([path.stem, take.stem, how, *errors(shown, wanted), jitter(shown, wanted), spent])
             print(rows[-1], flush=True)
-    return rows, [path.stem, len(found.controls), len(found.channel), seconds, *round_trip(head, found)]
+    return rows, [
+        path.stem,
+        len(found.controls),
+        len(found.channel),
+        seconds,
+        *round_trip(head, found),
+        *mirrored(head, found, load_take(takes[0]), step),
+    ]
 
 
 def main() -> None:
@@ -176,7 +228,7 @@ def main() -> None:
         own, summary = measure(path, options.takes, options.step)
         rows += own
         learnt.append(summary)
-    columns = ("rig", "controls", "variables", "learnt in, s", "round trip, landmarks", "skin")
+    columns = ("rig", "controls", "variables", "learnt in, s", "round trip, landmarks", "skin", "mirrored", "corrected")
     tables = [Table("Errors relative to the motion", COLUMNS, rows), Table("Learning of controls", columns, learnt)]
     finish(options, tables, {"rows": rows, "learnt": learnt})
     sys.stdout.flush()

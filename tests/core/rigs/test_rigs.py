@@ -97,8 +97,22 @@ def test_corrections_reach_what_the_linear_map_misses():
         return np.einsum("k,ksc->sc", x + 0.3 * x**2, found.effects)
 
     wanted = rig(np.array([0.5, -0.4, 0.3, 0.6]) * found.scale)
-    off = [np.linalg.norm(rig(RigSolver(found).solve(wanted, rig, corrections)) - wanted) for corrections in (0, 2)]
-    assert off[1] < 0.4 * off[0]
+    (once, first), (values, shown) = (RigSolver(found).corrected(wanted, rig, corrections) for corrections in (0, 2))
+    np.testing.assert_array_equal(once, RigSolver(found).solve(wanted))
+    np.testing.assert_array_equal(rig(values), shown)
+    assert np.linalg.norm(shown - wanted) < 0.4 * np.linalg.norm(first - wanted)
+
+
+def test_corrections_never_lead_away_from_a_face_that_the_model_does_not_foresee():
+    found = mapped(*(bone(str(number), number) for number in range(4)))
+
+    def rig(changes):
+        x = changes / found.scale
+        return np.einsum("k,ksc->sc", 4.0 * x, found.effects)
+
+    wanted = rig(np.array([0.2, -0.1, 0.2, 0.15]) * found.scale)
+    off = [np.linalg.norm(RigSolver(found).corrected(wanted, rig, n)[1] - wanted) for n in (0, 1, 2, 3)]
+    assert off == sorted(off, reverse=True)
 
 
 def test_of_controls_that_do_the_same_the_broad_one_is_preferred():
