@@ -90,7 +90,11 @@ def __dir__() -> list[str]:
 
 
 def register() -> None:
-    """Register the extension."""
+    """Register the extension; RuntimeError if this Windows lacks a part that OpenCV needs."""
+    from .core.puppet.windows_cameras import missing_media_foundation
+
+    if missing := missing_media_foundation():
+        raise RuntimeError(missing)
     from . import registration
 
     registration.register()

@@ -25,6 +25,7 @@ def start(arguments: Sequence[str] | None = None) -> NoReturn:
     # Before numpy loads: on a busy machine, the threads of its BLAS wait for each other, even for small products.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     open_standard_streams()
+    _require_media_foundation()
     with STOPPING.starting():
         follow_stdin()
         from .main import main
@@ -39,6 +40,16 @@ def start(arguments: Sequence[str] | None = None) -> NoReturn:
         sys.excepthook(*sys.exc_info())
         status = 1
     _leave(status)
+
+
+def _require_media_foundation() -> None:
+    """End with a message if this Windows lacks a part that OpenCV needs."""
+    if sys.platform == "win32":
+        from ..core.puppet.windows_cameras import missing_media_foundation
+
+        if missing := missing_media_foundation():
+            sys.stderr.write(f"facemime: {missing}\n")
+            _leave(1)
 
 
 def _leave(status: int) -> NoReturn:

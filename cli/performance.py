@@ -12,7 +12,7 @@ from time import monotonic
 from ..core.heads.appearance import Appearance, built_in_appearance
 from ..core.heads.key_map import ESSENTIAL
 from ..core.heads.rig import built_in_head
-from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
+from ..core.puppet.camera import Camera, CameraSettings
 from ..core.puppet.job import HeadFile
 from ..core.puppet.outputs import LiveHead
 from ..core.puppet.puppet_settings import PuppetSettings
@@ -91,7 +91,7 @@ class LivePerformance:
     def open(self) -> tuple[LiveSource, Neutral | None]:
         """Open the source, and return it with the neutral face that a take has; SourceError if it cannot be opened."""
         if self.video is None:
-            return Camera(CameraSettings(parse_device(str(self.camera), list_cameras()))), None
+            return Camera(CameraSettings(str(self.camera))), None
         if self._is_take:
             take = load_with_warnings(self.video)
             stored = take.info.get("calibration")

@@ -14,7 +14,7 @@ import time
 
 TYPE_CHECKING = False  # as typing has it, whose import takes longer than all the rest of this module
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from types import FrameType
     from typing import Any, NoReturn
 
@@ -159,9 +159,11 @@ def _end_at_once(status: int) -> NoReturn:
 
 
 def open_standard_streams() -> None:
-    """Open the null device for each standard stream that the caller closed.
+    """Open the null device for each standard stream that the caller closed, and let the others escape what their code
+    page does not have.
 
-    Otherwise a file that is opened later would become one of them, and Blender would print into it.
+    Otherwise a file that is opened later would become one of them, and Blender would print into it; a name in another
+    script would be an error.
     """
     for number, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         try:
@@ -173,6 +175,8 @@ def open_standard_streams() -> None:
                 os.close(opened)
         if getattr(sys, name) is None:
             setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115 - open until the process ends
+        if name != "stdin" and hasattr(stream := getattr(sys, name), "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
 
 def follow_stdin() -> None:
@@ -180,15 +184,17 @@ def follow_stdin() -> None:
     if os.environ.pop(LEASH, ""):
         import threading
 
-        import numpy  # noqa: F401 - on Windows, it would wait forever for a thread that reads a pipe (issue 24290)
+        from ..core.puppet.camera_process import wait_for_end_of_input
 
-        threading.Thread(target=_end_with_stdin, name="facemime-leash", daemon=True).start()
+        arguments = (wait_for_end_of_input,)
+        threading.Thread(target=_end_after, args=arguments, name="facemime-leash", daemon=True).start()
 
 
-def _end_with_stdin() -> None:
-    with contextlib.suppress(OSError):
-        while os.read(0, 1024):
-            pass
-    os.kill(os.getpid(), signal.SIGTERM)
+def _end_after(wait: Callable[[], None]) -> None:
+    wait()
+    if sys.platform == "win32":  # where `kill` ends a process at once
+        signal.raise_signal(signal.SIGTERM)
+    else:
+        os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(_PATIENCE)
     os._exit(128 + signal.SIGTERM)

@@ -20,7 +20,8 @@ from ..core.drive.drive_settings import DriveSettings, PosingSettings
 from ..core.errors import Message, SourceError
 from ..core.files.assets import SAMPLE
 from ..core.files.capture import is_address
-from ..core.puppet.camera import Camera, CameraSettings, list_cameras, parse_device
+from ..core.puppet.camera import Camera, CameraSettings
+from ..core.puppet.camera_list import number_and_name
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.puppet.sources import LiveSource, PicturePlayer, TakePlayer, VideoPlayer
 from ..core.streams.sender import VTUBE_STUDIO, StreamSender
@@ -169,12 +170,12 @@ def is_tracked(source: FacemimeSource) -> bool:
 
 def _camera() -> Camera:
     chosen = preferences()
-    device = parse_device(chosen.camera, list_cameras())
+    device, _ = number_and_name(chosen.camera)
     if not device:
         raise SourceError("No camera is selected. Enter its number under Source; 0 is the first.")
     if is_address(device):
         _require_online(device)
-    return Camera(CameraSettings(device, chosen.width, chosen.height, chosen.rate))
+    return Camera(CameraSettings(chosen.camera.strip(), chosen.width, chosen.height, chosen.rate))
 
 
 def _require_online(device: str) -> None:

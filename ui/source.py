@@ -7,7 +7,7 @@ import bpy
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
-from ..core.puppet.camera import list_cameras
+from ..core.puppet.camera_list import CameraList, list_cameras
 from ..core.streams.stream_settings import OWN, PROTOCOLS
 from ..core.streams.vertices import VERTICES
 from ..operators.puppet import running
@@ -21,6 +21,9 @@ from .sidebar import List, Sidebar, draw_list, labels, place, props, split_label
 from .status import countdown_text
 
 _NUMBERED_CAMERAS = 4
+_PATIENCE = 1.0
+"""Seconds for which the menu waits for the list of cameras."""
+_CAMERAS = CameraList()
 
 
 class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
@@ -98,6 +101,7 @@ def _draw_drivers(layout: bpy.types.UILayout, context: bpy.types.Context, chosen
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     chosen = preferences()
     draw_camera(layout, chosen)
+    _CAMERAS.refresh()
     if sys.platform == "darwin":
         labels(
             layout,
@@ -117,7 +121,7 @@ class FACEMIME_MT_cameras(bpy.types.Menu):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the cameras."""
         numbers = [str(number) for number in range(_NUMBERED_CAMERAS)]
-        for camera in [str(camera) for camera in list_cameras()] or numbers:
+        for camera in [str(camera) for camera in _CAMERAS.cameras(_PATIENCE)] or numbers:
             self.layout.operator("facemime.choose_camera", text=camera, translate=False).camera = camera
 
 

@@ -7,7 +7,8 @@ import bpy
 from ..blender.heads.family import character_in, face_candidates, known_keys
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
-from ..core.puppet.camera import explain_failure, list_cameras
+from ..core.puppet.camera import explain_failure
+from ..core.puppet.camera_list import list_cameras
 from ..operators.place_points import placing_on
 from ..operators.puppet import running
 from ..operators.shared import heads_in, subject

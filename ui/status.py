@@ -9,6 +9,7 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
+from ..blender.messages import displayable
 from ..blender.messages import interface as _
 from ..blender.stubs import Icon
 from ..blender.viewports import free_box, viewport_drawn
@@ -64,7 +65,7 @@ def summary(session: LiveSession) -> tuple[str, Icon]:
     if (error := worker.message or (worker.recording_error and str(worker.recording_error))) and error:
         return error, "ERROR"
     if latest is None:
-        return _("Waiting for the first frame"), "TIME"
+        return displayable(worker.source.waiting), "TIME"
     if not latest.result.found:
         return _("No face in view"), "QUESTION"
     if worker.first.neutral is None:
@@ -90,7 +91,7 @@ def status_lines(session: LiveSession) -> list[tuple[str, Icon]]:
     lines += _stream_lines(session)
     latest = session.shown
     if latest is None:
-        return [*lines, (_("Waiting for the first frame"), "TIME")]
+        return [*lines, (displayable(worker.source.waiting), "TIME")]
     if not latest.result.found:
         lines.append((_("No face in view"), "QUESTION"))
     elif worker.first.neutral is None:

@@ -11,7 +11,6 @@ import os
 import subprocess
 import sys
 import threading
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
@@ -22,12 +21,16 @@ import numpy as np
 
 from ..errors import Message, SourceError, messages
 from ..files.capture import is_address
+from .camera_list import is_numbered, number_and_name, ways_to_open
 from .camera_process import FAILED, HEADER
 from .sources import LiveFrame, LiveSource
+from .windows_cameras import why_refused
 
 PROGRAM = Path(__file__).with_name("camera_process.py")
-_OPENING = 15.0
-"""Seconds without a frame after which a camera that is opened counts as hanging."""
+_OPENING = 30.0 if sys.platform == "win32" else 15.0
+"""Seconds without a frame after which a camera that is opened counts as hanging, or is opened in another way."""
+_SLOW = 5.0
+"""Seconds after which opening a camera takes long."""
 _SILENCE = 4.0
 """Seconds without a frame after which a camera that has sent one counts as hanging."""
 _RETRY = 2.0
@@ -45,7 +48,8 @@ class CameraSettings:
     Attributes
     ----------
     device : str
-        A number, a path, or the address of a stream, such as a phone's.
+        A number, with or without the name of the camera (`CameraName`), a path, or the address of a stream, such as a
+        phone's.
     width, height : int
         Size of the frames in pixels.
     rate : float
@@ -79,7 +83,7 @@ class Camera(LiveSource):
         opening: float = _OPENING,
         silence: float = _SILENCE,
     ) -> None:
-        self.name = f"camera {settings.device}"
+        self.name = f"camera {number_and_name(settings.device)[0]}"
         self.settings = settings
         self._command = command or (python_executable(), "-s", str(PROGRAM))
         self._opening, self._silence = opening, silence
@@ -92,14 +96,26 @@ class Camera(LiveSource):
         self._first: float | None = None
         self._last = -1.0
         self._closed = False
+        self._ways: list[str] = []
+        self._works = False
+        self._began = float("inf")
+
+    @property
+    def waiting(self) -> str:
+        """What to show until there is a frame."""
+        if perf_counter() - self._began < _SLOW:
+            return Message("Opening the camera ...")
+        return Message("Opening the camera ... Some take half a minute")
 
     def read(self, timeout: float) -> LiveFrame | None:
         """Return the newest frame. See `LiveSource.read`."""
+        if not self._ways:
+            self._ways, self._began = ways_to_open(self.settings.device), perf_counter()
         with self._news:
             if self._closed:
                 return None
             if self._process is None and perf_counter() >= self._retry_at:
-                self._open()
+                self._open(self._ways[0])
             self._news.wait_for(lambda: self._frame is not None or self._failure or self._closed, timeout)
             frame, self._frame = self._frame, None
             hangs = self._process is not None and perf_counter() - self._heard > self._silence
@@ -107,8 +123,11 @@ class Camera(LiveSource):
             self._failure = "" if failure else self._failure
         if failure:
             self._end()
-            self._retry_at = perf_counter() + _RETRY
-            raise SourceError(explain_failure(failure, self.settings.device))
+            if self._works or not self._ways[1:]:
+                self._ways = self._ways if self._works else []
+                self._retry_at = perf_counter() + _RETRY
+                raise SourceError(explain_failure(failure, self.settings.device))
+            self._ways.pop(0)
         return frame
 
     def close(self) -> None:
@@ -118,13 +137,11 @@ class Camera(LiveSource):
             self._news.notify_all()
         self._end()
 
-    def _open(self) -> None:
+    def _open(self, device: str) -> None:
         asked = self.settings
-        named = asked.device.isdecimal() or is_address(asked.device)
-        device = (
-            asked.device if named else os.path.abspath(asked.device)
-        )  # an absolute path is not taken for an address
-        self._failure, self._frame = "", None
+        if not is_numbered(device) and not is_address(device):
+            device = os.path.abspath(device)  # which is not taken for an address
+        self._failure, self._frame, self._works = "", None, False
         self._heard = perf_counter() + self._opening - self._silence
         try:
             self._process = subprocess.Popen(
@@ -175,7 +192,7 @@ class Camera(LiveSource):
             time = max(frame.taken - self._first, self._last + 1e-4)
             dropped = 0 if self._frame is None else self._frame.dropped + 1
             self._frame = LiveFrame(time, frame.image, None, frame.taken, dropped)
-            self._heard, self._last = perf_counter(), time
+            self._heard, self._last, self._works = perf_counter(), time, True
             self._news.notify_all()
 
     def _end(self) -> None:
@@ -230,6 +247,9 @@ def explain_failure(failure: str, device: str) -> str:
 
     The failure is a reason given by `camera_process`, or "hangs", "died" or "no python".
     """
+    device, _ = number_and_name(device)
+    if failure in ("closed", "silent") and is_numbered(device) and (refused := why_refused()):
+        return refused
     path = Path(f"/dev/video{device}") if device.isdecimal() and sys.platform == "linux" else None
     if failure in ("closed", "silent") and path is not None:
         if not os.path.exists(path):
@@ -259,59 +279,3 @@ _EXPLANATIONS = messages(
         "no python": "Blender's Python, which reads the camera, cannot be started. Reinstall Blender, or use a video.",
     }
 )
-
-
-@dataclass(frozen=True)
-class CameraName:
-    """A camera of this computer: its `CameraSettings.device`, and its name in the system."""
-
-    device: str
-    name: str
-
-    def __str__(self) -> str:
-        return f"{self.device}: {self.name}"
-
-
-def parse_device(text: str, cameras: Sequence[CameraName]) -> str:
-    """Parse the device that a user chose or typed: a number, an address, or a `CameraName` as text.
-
-    A named camera is found by its name if its number has changed.
-    """
-    number, separator, name = text.strip().partition(": ")
-    if not (separator and number.isdecimal()):
-        return text.strip()
-    return next((camera.device for camera in cameras if camera.name == name), number)
-
-
-def list_cameras() -> list[CameraName]:
-    """Return the cameras that the system lists, without opening any; empty if it lists none."""
-    if sys.platform == "linux":
-        return _list_on_linux(Path("/sys/class/video4linux"))
-    if sys.platform == "darwin":
-        return _list_on_macos()
-    return []
-
-
-def _list_on_linux(folder: Path) -> list[CameraName]:
-    """List cameras on Linux. Of several devices of a camera, the first one delivers the images."""
-    cameras = []
-    for device in sorted(folder.glob("video*"), key=lambda path: int(path.name[5:] or 0)):
-        try:
-            if int((device / "index").read_text()) == 0:
-                cameras.append(CameraName(device.name[5:], (device / "name").read_text().strip()))
-        except (OSError, ValueError):
-            continue
-    return cameras
-
-
-def _list_on_macos() -> list[CameraName]:
-    import json
-
-    try:
-        done = subprocess.run(
-            ["system_profiler", "SPCameraDataType", "-json"], capture_output=True, timeout=10, check=True
-        )
-        names = [camera["_name"] for camera in json.loads(done.stdout)["SPCameraDataType"]]
-    except (OSError, subprocess.SubprocessError, ValueError, KeyError, TypeError):
-        return []
-    return [CameraName(str(number), name) for number, name in enumerate(names)]

@@ -16,7 +16,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from ..errors import SourceError
+from ..errors import Message, SourceError
 from ..files.capture import PICTURE_RATE, PictureSource, VideoSource
 from ..takes.neutral import Neutral, calibrate
 from ..takes.take import Take
@@ -101,6 +101,11 @@ class LiveSource(ABC):
     complete = False
     ended = False
     message = ""
+
+    @property
+    def waiting(self) -> str:
+        """What to show until the first frame."""
+        return Message("Waiting for the first frame")
 
     @abstractmethod
     def read(self, timeout: float) -> LiveFrame | None:
