@@ -10,6 +10,8 @@ from typing import TextIO
 
 from ..core.errors import OutputError
 
+_ESCAPES = 0x0004
+"""ENABLE_VIRTUAL_TERMINAL_PROCESSING, of Windows 10 and later."""
 _MARKS = "--mark 36=VERTEX or --mark 36=X,Y,Z, in Blender's coordinates"
 
 
@@ -63,11 +65,30 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape").decode()
 
 
+def understands_escapes(stream: TextIO) -> bool:
+    """Return whether a stream is a terminal that understands escape codes, which Windows' has to be told."""
+    if not stream.isatty() or os.environ.get("TERM") == "dumb":
+        return False
+    if sys.platform != "win32":
+        return True
+    import ctypes
+    import msvcrt
+
+    try:
+        handle = ctypes.c_void_p(msvcrt.get_osfhandle(stream.fileno()))
+    except (OSError, ValueError):
+        return False
+    mode, kernel = ctypes.c_ulong(), ctypes.windll.kernel32
+    return bool(
+        kernel.GetConsoleMode(handle, ctypes.byref(mode)) and kernel.SetConsoleMode(handle, mode.value | _ESCAPES)
+    )
+
+
 class Screen:
-    """A text that is replaced in place on a terminal, and otherwise written once per second."""
+    """A text that is replaced in place on a terminal with escape codes, and otherwise written once per second."""
 
     def __init__(self) -> None:
-        self._live = sys.stdout is not None and sys.stdout.isatty()
+        self._live = sys.stdout is not None and understands_escapes(sys.stdout)
         self._shown = float("-inf")
 
     def show(self, text: str) -> None:
@@ -94,7 +115,7 @@ class Progress:
         shown = sys.stderr if stream is None else stream
         self._live = shown is not None and shown.isatty()
         self._start = time.perf_counter()
-        self._drawn = 0.0
+        self._drawn, self._width = 0.0, 0
 
     def update(self, done: int, total: int | None = None) -> None:
         """Report that `done` steps are done; drawn at most ten times per second."""
@@ -102,12 +123,18 @@ class Progress:
         now = time.perf_counter()
         if self._live and now - self._drawn > 0.1:
             self._drawn = now
-            self._write("\r\x1b[K" + self.line())
+            self._write(self._over(self.line()))
 
     def finish(self, note: str = "") -> None:
         """End the line, with a note."""
         note = f", {printable(note)}" if note else ""
-        self._write(("\r\x1b[K" if self._live else "") + self.line(ended=True) + note + "\n")
+        line = self.line(ended=True) + note
+        self._write((self._over(line) if self._live else line) + "\n")
+
+    def _over(self, line: str) -> str:
+        """Return what writes a line over the previous one, on any terminal: without escape codes."""
+        width, self._width = self._width, len(line)
+        return "\r" + line.ljust(width)
 
     def _write(self, text: str) -> None:
         if self._stream is None:

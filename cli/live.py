@@ -135,9 +135,12 @@ def _open_vtube_studio(given: Options) -> Callable[[LiveWorker], Sender]:
 
 
 def _user_settings() -> Path:
-    """Return the folder of the user's settings."""
-    places = (os.environ.get("APPDATA"), os.environ.get("XDG_CONFIG_HOME"))
-    return Path(next(filter(None, places), Path.home() / ".config")) / "facemime"
+    """Return the folder of the user's settings; FacemimeError if this user has no home."""
+    place = os.environ.get("APPDATA") or os.environ.get("XDG_CONFIG_HOME")
+    try:
+        return (Path(place) if place else Path.home() / ".config") / "facemime"
+    except RuntimeError as error:
+        raise FacemimeError("There is no home folder to keep the permission in. Add --token FILE.") from error
 
 
 def _open_server(given: Options) -> Callable[[LiveWorker], Sender]:

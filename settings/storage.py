@@ -16,6 +16,7 @@ import os
 import re
 import shutil
 import sys
+import tempfile
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -58,8 +59,11 @@ def presets_folder() -> Path:
 
 
 def documents() -> Path:
-    """Return the user's documents folder, or the home folder if there is none."""
-    home = Path.home()
+    """Return the user's documents folder, or the home folder if there is none, or that for temporary files."""
+    try:
+        home = Path.home()
+    except RuntimeError:  # neither the environment nor the system knows one
+        home = Path(tempfile.gettempdir())
     if sys.platform == "win32":
         buffer = ctypes.create_unicode_buffer(260)
         ctypes.windll.shell32.SHGetFolderPathW(None, _CSIDL_PERSONAL, None, 0, buffer)

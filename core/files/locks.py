@@ -81,7 +81,8 @@ def temporary_beside(path: Path) -> Iterator[Path]:
         try:
             yield temporary
         finally:
-            temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # on Windows, a virus scanner may have it open; `sweep` deletes it later
+                temporary.unlink(missing_ok=True)
 
 
 @contextmanager

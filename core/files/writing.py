@@ -9,7 +9,9 @@ import errno
 import os
 import shutil
 import stat
+import sys
 import tempfile
+import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from itertools import count
@@ -20,6 +22,12 @@ from .locks import holding, lock_of, sweep, temporary_beside
 
 _PATIENCE = 0.25
 """Seconds to wait for the lock of an output, which another process may hold briefly while it cleans up."""
+_INVALID_NAME = 123
+"""Windows' error for names with characters such as a question mark."""
+_SCAN = 2.0
+"""Seconds to wait for a program that has a new file open, on Windows."""
+_PAUSE = 0.05
+"""Seconds between two attempts to move a file."""
 
 
 @contextmanager
@@ -32,6 +40,7 @@ def replacing(path: Path) -> Iterator[Path]:
     path = Path(path)
     with _reporting(path), ExitStack() as stack:
         target = _target(path)
+        _check_name(target)
         target.parent.mkdir(parents=True, exist_ok=True)
         if target.is_dir():
             raise IsADirectoryError(errno.EISDIR, "it is a folder")
@@ -39,10 +48,10 @@ def replacing(path: Path) -> Iterator[Path]:
         yield temporary
         _copy_permissions(temporary, target)
         try:
-            os.replace(temporary, target)
+            _move(temporary, target)
         except OSError as error:
             kept = free_name(target)
-            os.rename(temporary, kept)
+            _move(temporary, kept)
             raise OutputError(
                 "Cannot replace {path}: {error}. The result is in {kept}.", path=path, error=reason_of(error), kept=kept
             ) from error
@@ -57,7 +66,7 @@ def settle(finished: Path, path: Path) -> None:
         target = _target(path)
         try:
             _copy_permissions(finished, target)
-            os.replace(finished, target)
+            _move(finished, target)
             return
         except OSError as error:
             if error.errno != errno.EXDEV:  # a link to another disk
@@ -67,12 +76,33 @@ def settle(finished: Path, path: Path) -> None:
         finished.unlink()
 
 
+def _move(source: Path, target: Path) -> None:
+    """Move a file as `os.replace` does; on Windows, wait for a program that has it open, such as a virus scanner."""
+    end = time.monotonic() + (_SCAN if sys.platform == "win32" else 0.0)
+    while True:
+        try:
+            os.replace(source, target)
+            return
+        except PermissionError:
+            if time.monotonic() >= end:
+                raise
+        time.sleep(_PAUSE)
+
+
 def write_secret(path: Path, content: bytes, *, replace: bool = False) -> None:
     """Write a file that only its owner can read.
 
     Raises OSError if it cannot be written, and FileExistsError if it exists and `replace` is not set.
     """
-    descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
+    if sys.platform == "win32":
+        from .owner_only import create
+
+        if replace:
+            path.unlink(missing_ok=True)
+        descriptor = create(path)
+    else:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
+        os.fchmod(descriptor, 0o600)  # of a file that existed
     with open(descriptor, "wb") as file:
         file.write(content)
 
@@ -95,8 +125,7 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
         )
     with _reporting(path):
         target = _target(path)
-        with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
-            os.lstat(target)  # the only call that notices names that are too long
+        _check_name(target)
         folder = target.parent
         while not os.path.exists(folder) and folder != folder.parent:
             folder = folder.parent
@@ -117,6 +146,12 @@ def check_writable(path: Path, suffixes: Collection[str] = ()) -> None:
         _check_replaceable(path, target)
         with tempfile.TemporaryFile(dir=folder):
             pass
+
+
+def _check_name(target: Path) -> None:
+    """Raise an OSError if no file can have this name; no other call notices names that are too long."""
+    with suppress(FileNotFoundError, NotADirectoryError, PermissionError):
+        os.lstat(target)
 
 
 def _check_replaceable(path: Path, target: Path) -> None:
@@ -218,6 +253,8 @@ def locked(path: Path) -> Iterator[None]:
 def _target(path: Path) -> Path:
     """Return `path` with its links resolved."""
     try:
+        if "\0" in str(path):  # which Windows' `realpath` accepts
+            raise ValueError("embedded null byte")
         return Path(os.path.realpath(path))
     except ValueError as error:
         raise OutputError(
@@ -247,6 +284,8 @@ def _reporting(path: Path) -> Iterator[None]:
         advice = Message("Choose another location for the output.")
         if error.errno == errno.ENAMETOOLONG:
             advice = Message("Choose a shorter name for the output.")
+        elif getattr(error, "winerror", 0) == _INVALID_NAME:
+            advice = Message("Choose another name for the output.")
         raise OutputError(
             "Cannot write {path}: {error}. {advice}", path=path, error=reason_of(error), advice=advice
         ) from error

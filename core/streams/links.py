@@ -9,7 +9,7 @@ from contextlib import suppress
 
 from .casting import Address
 from .protocols.frames import MAX_DATAGRAM
-from .transport.addresses import cannot_listen, resolve
+from .transport.addresses import bind, cannot_listen, listening, resolve
 
 LENGTH = struct.Struct("<I")
 """Prefix of each message over TCP."""
@@ -91,7 +91,7 @@ class DatagramLink(_Listening):
             opened.setblocking(False)
             with suppress(OSError):
                 opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
-            opened.bind(address)
+            bind(opened, address)
         except OSError as error:
             opened.close()
             raise cannot_listen(self._host, self._port, error) from error
@@ -169,13 +169,7 @@ class ConnectionsLink(_Listening):
             listener.close()
 
     def _listen(self, port: int) -> None:
-        family, address = resolve(self._host, port)
-        try:
-            opened = socket.create_server(address, family=family)
-        except OSError as error:
-            raise cannot_listen(self._host, port, error) from error
-        opened.setblocking(False)
-        self._listeners.append(opened)
+        self._listeners.append(listening(self._host, port, _MAX_CONNECTIONS))
 
     def _accept(self) -> None:
         for listener in self._listeners:

@@ -27,8 +27,8 @@ from websockets.server import ServerProtocol
 from ..drive.driver import HeadDriver, HeadFrame
 from ..heads.appearance import Appearance
 from ..puppet.outputs import KeyDriver
-from ..streams.transport.addresses import cannot_listen
-from ..streams.transport.background import Serving, listening
+from ..streams.transport.addresses import cannot_listen, listening
+from ..streams.transport.background import Serving
 from .gate import MAX_CONNECTIONS, Gate, Guest
 from .messages import CLOCK_REQUEST, encode_clock, encode_frame
 from .model import Scene, ViewerModel, description

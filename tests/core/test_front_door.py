@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -28,7 +29,7 @@ SHOWN = [
 @pytest.fixture
 def files(tmp_path, monkeypatch) -> None:
     """The files that examples read: a clip, a portrait and a take."""
-    (tmp_path / "clip.mp4").symlink_to(SAMPLE)
+    shutil.copyfile(SAMPLE, tmp_path / "clip.mp4")
     _, portrait = cv2.VideoCapture(str(SAMPLE)).read()
     cv2.imwrite(str(tmp_path / "portrait.png"), portrait)
     save_take(performance(), tmp_path / "performance.facetake")

@@ -13,6 +13,7 @@ import ipaddress
 import re
 import socket
 import struct
+import sys
 from dataclasses import dataclass
 
 from ...errors import Message, OutputError, SourceError
@@ -79,6 +80,32 @@ def bracketed(host: str) -> str:
 def reachable(host: str) -> str:
     """Return the address at which others reach a server that listens at `host` on this computer."""
     return _way_out() if host in _ALL else host
+
+
+def listening(host: str, port: int, waiting: int) -> socket.socket:
+    """Return a socket, which does not block, that listens on an address of this computer, or on any free port for 0.
+
+    `waiting` connections may wait to be accepted. Raises SourceError if the address cannot be listened on.
+    """
+    family, address = resolve(host, port)
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setblocking(False)
+        bind(listener, address)
+        listener.listen(waiting)
+    except OSError as error:
+        listener.close()
+        raise cannot_listen(host, port, error) from error
+    return listener
+
+
+def bind(opened: socket.socket, address: tuple[str, int]) -> None:
+    """Bind a socket to an address, which no other program can then share; raises OSError if one has it already."""
+    if sys.platform == "win32":  # where SO_REUSEADDR would let another program take the port over
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+    elif opened.type == socket.SOCK_STREAM:
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # a port is free as soon as its program has ended
+    opened.bind(address)
 
 
 def cannot_listen(host: str, port: int, error: OSError) -> SourceError:

@@ -3,37 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import socket
 import threading
 from abc import abstractmethod
 from collections.abc import Callable
 from contextlib import suppress
 
 from ...files.closing import Closing
-from .addresses import cannot_listen, resolve
 
 _ENDING = 5.0
 """Seconds that `close` waits for a thread."""
-
-
-def listening(host: str, port: int, waiting: int) -> socket.socket:
-    """Return a socket, which does not block, that listens on an address of this computer, or on any free port for 0.
-
-    `waiting` connections may wait to be accepted. Raises SourceError if the address cannot be listened on.
-    """
-    family, address = resolve(host, port)
-    listener = socket.socket(family, socket.SOCK_STREAM)
-    try:
-        if os.name == "posix":  # on Windows, it lets another program listen on the same port
-            listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        listener.setblocking(False)
-        listener.bind(address)
-        listener.listen(waiting)
-    except OSError as error:
-        listener.close()
-        raise cannot_listen(host, port, error) from error
-    return listener
 
 
 class Connecting(Closing):

@@ -14,8 +14,8 @@ from functools import partial
 from ...takes.neutral import Neutral
 from ...tracking.result import TrackResult
 from . import datagram
-from .addresses import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION
-from .background import Serving, listening
+from .addresses import ACCEPTED, ANSWER, GREETING, LENGTH, MAGIC, REFUSED, VERSION, listening
+from .background import Serving
 from .datagram import OwnSender
 
 _PATIENCE = 5.0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -17,7 +19,8 @@ import pytest
 from facemime.cli import console
 from facemime.cli import main as cli
 from facemime.cli.clips import Namer, find_clips
-from facemime.cli.console import Progress, printable, say, tell
+from facemime.cli.console import Progress, Screen, printable, say, tell
+from facemime.cli.stopping import LEASH
 from facemime.core.errors import SourceError
 from facemime.core.files.capture import write_image
 from facemime.core.puppet.job import PuppetJob
@@ -226,6 +229,62 @@ def test_names_cannot_control_the_terminal(tmp_path, capsys, monkeypatch):
             assert usage.code == 2
     said = capsys.readouterr()
     assert not {"\x1b", "\x07", "\x9b", "\u202e"} & set(said.err + said.out) and seen in said.err
+
+
+def test_what_the_code_page_of_a_terminal_lacks_is_escaped():
+    code = "from facemime.cli.stopping import open_standard_streams as open; open()\n"
+    code += "from facemime.cli.console import say, tell; say('\u0141\xf3d\u017a \u6d4b.mp4'); tell('\u0141')"
+    environment = os.environ | {"PYTHONIOENCODING": "cp1252"}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, check=False)
+    assert done.stdout.decode("cp1252").strip() == r"\u0141\xf3d\u017a \u6d4b.mp4".replace(r"\xf3", "\xf3"), done.stderr
+    assert done.stderr.decode("cp1252").strip() == r"\u0141"
+
+
+class Terminal(io.StringIO):
+    """A terminal that may not understand escape codes."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+def test_a_terminal_without_escape_codes_gets_none(monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    terminal = Terminal()
+    monkeypatch.setattr(console.sys, "stdout", terminal)
+    screen, progress = Screen(), Progress("Working", 3, terminal)
+    for number in range(3):
+        monkeypatch.setattr(console.time, "perf_counter", lambda number=number: 1e6 + 10.0 * number)
+        screen.show("shown")
+        progress.update(number)
+    progress.finish()
+    shown = terminal.getvalue()
+    assert shown.count("shown") == 3 and "\x1b" not in shown
+    lines = shown.splitlines()[-1].split("\r")
+    assert all(len(later) >= len(earlier) for earlier, later in pairwise(lines)), "the end of a line would remain"
+
+
+def test_a_child_ends_in_an_orderly_way_with_its_input(tmp_path):
+    code = """
+import sys, time
+from facemime.cli.stopping import STOPPING, follow_stdin
+STOPPING.install()
+follow_stdin()
+import numpy
+STOPPING.run()
+try:
+    print("ready", flush=True)
+    while True:
+        time.sleep(0.01)
+except KeyboardInterrupt:
+    print("ended", flush=True)
+"""
+    environment = os.environ | {LEASH: "1"}
+    with subprocess.Popen(
+        [sys.executable, "-c", code], env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout.readline() == "ready\n"
+        child.stdin.close()
+        assert child.stdout.read() == "ended\n" and child.wait(60) == 0
 
 
 class Full:

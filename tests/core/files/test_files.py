@@ -18,7 +18,16 @@ from facemime.core.errors import OutputError
 from facemime.core.files import locks
 from facemime.core.files import writing as files
 from facemime.core.files.locks import holding, lock_of, sweep, temporary_folder
-from facemime.core.files.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
+from facemime.core.files.writing import (
+    check_distinct,
+    check_writable,
+    claimed,
+    free_name,
+    replacing,
+    settle,
+    write_secret,
+)
+from tests.helpers.owners import UNDER_WINE, who_can_open
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="permissions and links as POSIX has them")
 
@@ -115,7 +124,10 @@ def test_an_output_that_is_an_input_is_refused_by_any_name(tmp_path):
     check_distinct([tmp_path / "copy", tmp_path / "new"], {"the take": take, "a missing one": tmp_path / "none"})
 
 
-@pytest.mark.parametrize("name", ["x" * 300 + ".csv", "a\0b.csv"])
+_IMPOSSIBLE = ("x" * 300 + ".csv", "a\0b.csv")
+
+
+@pytest.mark.parametrize("name", (*_IMPOSSIBLE[UNDER_WINE:], "what?.csv") if os.name == "nt" else _IMPOSSIBLE)
 def test_an_impossible_file_name_is_a_clear_error(tmp_path, name):
     with pytest.raises(OutputError, match=r"Choose (a shorter|another) name for the output"):
         check_writable(tmp_path / name)
@@ -231,6 +243,51 @@ def test_a_held_lock_is_awaited_for_the_given_time(tmp_path):
     assert not os.listdir(tmp_path)
 
 
+@pytest.fixture
+def scanner(monkeypatch):
+    """Return a function that lets a virus scanner on Windows hold files for the next attempts to move them."""
+    move, left = os.replace, []
+    monkeypatch.setattr(files.sys, "platform", "win32")
+
+    def replace(source, target):
+        if left:
+            left.pop()
+            raise PermissionError(errno.EACCES, "The process cannot access the file")
+        move(source, target)
+
+    monkeypatch.setattr(files.os, "replace", replace)
+    return lambda attempts: left.extend([None] * attempts)
+
+
+def test_a_file_that_a_virus_scanner_holds_for_a_moment_is_written(scanner, tmp_path):
+    scanner(3)
+    with replacing(tmp_path / "a.csv") as path:
+        path.write_text("new")
+    scanner(3)
+    (tmp_path / "b.unfinished.csv").write_text("new")
+    settle(tmp_path / "b.unfinished.csv", tmp_path / "b.csv")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.csv": "new", "b.csv": "new"}
+
+
+def test_a_file_that_is_never_let_go_is_an_error(scanner, tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_SCAN", 0.1)
+    scanner(1000)
+    (tmp_path / "b.unfinished.csv").write_text("new")
+    with pytest.raises(OutputError, match="cannot access the file"):
+        settle(tmp_path / "b.unfinished.csv", tmp_path / "b.csv")
+    assert (tmp_path / "b.unfinished.csv").exists()
+
+
+def test_a_secret_can_be_read_by_its_owner_alone(tmp_path):
+    path = tmp_path / "key"
+    path.touch()
+    write_secret(path, b"long before", replace=True)
+    write_secret(path, b"secret", replace=True)
+    assert path.read_bytes() == b"secret" and who_can_open(path) == {"owner"}
+    with pytest.raises(FileExistsError):
+        write_secret(path, b"another")
+
+
 def test_free_names_are_numbered(tmp_path):
     path = tmp_path / "a.unfinished.facetake"
     assert free_name(path) == path
@@ -238,7 +295,7 @@ def test_free_names_are_numbered(tmp_path):
     assert free_name(path).name == "a.unfinished-2.facetake"
 
 
-@pytest.mark.parametrize("platform", ["linux", "win32"])
+@pytest.mark.parametrize("platform", ["win32"] if sys.platform == "win32" else ["linux", "win32"])
 def test_a_run_that_fails_leaves_no_lock_behind(tmp_path, monkeypatch, platform):
     path = tmp_path / "lock"
     monkeypatch.setattr("facemime.core.files.locks.sys.platform", platform)

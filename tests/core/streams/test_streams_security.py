@@ -1,8 +1,6 @@
 """Facemime's own stream with a key: strangers, replays and other keys are refused, and all else gets through."""
 
-import stat
 import struct
-import sys
 from itertools import chain
 
 import pytest
@@ -13,6 +11,7 @@ from facemime.core.errors import OutputError, SourceError
 from facemime.core.streams.protocols.frames import PacketError
 from facemime.core.streams.transport.datagram import OwnReceiver, OwnSender, RefusedError, encode_face
 from facemime.core.streams.transport.security import ReplayWindow, read_key, write_key
+from tests.helpers.owners import who_can_open
 from tests.helpers.takes import performance
 
 KEY, OTHER = b"k" * 32, b"o" * 32
@@ -159,8 +158,7 @@ def test_a_new_key_can_be_read_by_its_owner_alone(tmp_path):
     with pytest.raises(OutputError):
         write_key(path)
     assert len(read_key(path)) == 32 and read_key(path) != read_key(other)
-    if sys.platform != "win32":
-        assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert who_can_open(path) == {"owner"}
 
 
 def test_a_key_that_is_missing_short_or_huge_is_refused(tmp_path):

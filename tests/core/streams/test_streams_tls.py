@@ -6,7 +6,6 @@ import asyncio
 import os
 import socket
 import ssl
-import sys
 import threading
 import time
 from contextlib import closing, suppress
@@ -27,6 +26,7 @@ from facemime.core.streams.transport.security import der_time, load_identity, re
 from facemime.core.streams.transport.tls_server import TlsSender
 from tests.helpers.clocks import PATIENCE, wait_for
 from tests.helpers.links import performing
+from tests.helpers.owners import who_can_open
 from tests.helpers.takes import performance
 
 
@@ -254,8 +254,7 @@ def test_the_identity_stays_and_only_its_owner_can_read_it(tmp_path):
     other = load_identity(tmp_path / "other")
     assert (first.fingerprint, first.token) == (again.fingerprint, again.token)
     assert first.fingerprint != other.fingerprint and first.token != other.token
-    if sys.platform != "win32":
-        assert {path.stat().st_mode & 0o077 for path in (tmp_path / "mine").iterdir()} == {0}
+    assert all(who_can_open(path) == {"owner"} for path in (tmp_path / "mine").iterdir())
 
 
 def verified_by_openssl(folder) -> bool:

@@ -23,6 +23,7 @@ from facemime.core.takes.take import FIELDS, Take, check_take
 from facemime.core.takes.timing import mark_lost
 from facemime.core.tracking.smoothing import SHAPE_PARTS
 from facemime.core.tracking.tracker import FaceTracker
+from tests.helpers.owners import UNDER_WINE
 from tests.helpers.takes import performance
 
 CLIP = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
@@ -81,6 +82,7 @@ def test_too_few_frames_have_no_outliers():
     assert not find_outliers(performance(4)).any()
 
 
+@pytest.mark.skipif(UNDER_WINE, reason="wine has no complex exponential")
 @pytest.mark.parametrize("frequency", [1.0, 3.0, 6.0])
 def test_the_smoothing_is_that_of_a_butterworth_filter_run_forward_and_backward(frequency):
     times = np.arange(400) / 60.0

@@ -5,9 +5,7 @@ from __future__ import annotations
 import html
 import json
 import ssl
-import stat
 import subprocess
-import sys
 from contextlib import closing, suppress
 from dataclasses import replace
 
@@ -36,6 +34,7 @@ from facemime.core.viewer.site import SENDER, SUBJECT, VIEWER, Relay, Site
 from tests.helpers.clocks import PATIENCE, wait_for
 from tests.helpers.commands import START, run
 from tests.helpers.links import free_port
+from tests.helpers.owners import who_can_open
 from tests.helpers.relays import new_site, relaying, watching
 from tests.helpers.viewer.watching import NEUTRAL, built_in, face
 
@@ -178,9 +177,7 @@ def test_an_address_that_is_no_relay_is_a_clear_error(url, tmp_path):
 def test_secrets_stay_and_only_their_owner_can_read_them(tmp_path):
     first, again = new_site(tmp_path), new_site(tmp_path)
     assert (first.page, first.password) == (again.page, again.password) and first.password != first.page.name
-    if sys.platform != "win32":
-        for path in (first.configuration, tmp_path / "secrets.json"):
-            assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert all(who_can_open(path) == {"owner"} for path in (first.configuration, tmp_path / "secrets.json"))
     public = "".join(path.read_text(errors="replace") for path in first.public.rglob("*.html"))
     assert first.password not in public and first.page.name in public
 
