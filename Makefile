@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-rigs bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows programs viewer docs
+.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-rigs bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
 
 setup: $(STAMP)
 
@@ -38,14 +38,19 @@ SUITES := tests/gui tests/blender tests/fuzz tests/core tests/viewer tests/bench
 test: setup build blenders windows programs build/head/.ready
 	$(PYTEST) $(SUITES) -m "not thorough"
 
-# All other tests as well: the other versions of Blender and their windows, fuzzers, random sequences.
-test-all: test
+# All other tests as well: the other versions of Blender and their windows, Windows' Python, fuzzers, random sequences.
+test-all: test wine
 	$(PYTEST) $(SUITES) -m thorough
 
 # A share of the thorough tests, so that a change need not wait for all of them: SHARE=2/3 runs the second third.
 SHARE ?= 1/3
-test-share: setup build blenders windows programs build/head/.ready
+test-share: setup build blenders windows wine programs build/head/.ready
 	$(PYTEST) $(SUITES) -m thorough --share $(SHARE)
+
+# The tests in Windows' Python, under wine; PART=streams runs a single part.
+PART ?=
+test-windows: setup viewer wine
+	$(BIN)/python -m pytest tests/blender/test_on_windows.py -k 'windows-$(PART) or part'
 
 # All live and window tests, repeatedly, on a busy machine.
 RUNS ?= 50
@@ -89,6 +94,10 @@ blenders: setup
 # Blender with a window on a virtual screen, from Debian's packages.
 windows:
 	sh tools/windows.sh
+
+# Windows' Python with Blender's module for Windows, under wine.
+wine: setup
+	sh tools/wine.sh
 
 # The Python library, as a wheel in dist/.
 wheel: setup viewer

@@ -15,8 +15,8 @@ from facemime.core.takes.face_space import FaceSpace
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_PLACE = re.compile(r"\b(4\.2|4\.5|5\.0|5\.2|trixie|sid)\b")
-"""Versions of Blender, and platforms whose Blender has a window."""
+_PLACE = re.compile(r"\b(4\.2|4\.5|5\.0|5\.2|trixie|sid|windows-\w+)\b")
+"""Versions of Blender, platforms whose Blender has a window, and what runs in one process on Windows."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -12,6 +12,7 @@ uv --python-version 3.11 --allow-unsafe peers.in -o peers.txt
 uv --universal --python-version 3.11 docs.in -o docs.txt
 uv --universal --python-version 3.11 --no-deps wheels.in -o wheels.txt
 uv --universal --python-version 3.11 --no-deps oracles.in -o oracles.txt  # their dependencies are not needed to read files
+uv --python-platform windows --python-version 3.11 wine.in -o wine.txt
 for version in 4.2 4.5 5.0; do
     uv --python-version 3.11 "bpy-$version.in" -o "bpy-$version.txt"
 done

@@ -2,12 +2,9 @@
 
 import contextlib
 import os
-import pty
 import re
-import resource
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import bpy
@@ -23,20 +20,22 @@ from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.errors import OutputError
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.file import load_take, save_take
+from tests.helpers.commands import COMMAND, needs_posix
 from tests.helpers.takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample"
-COMMAND = Path(sys.prefix) / "bin" / "facemime"
 
 
 def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
     """Run `facemime`; options as for `subprocess.run`."""
-    line = [COMMAND, *map(str, arguments)]
+    line = [*COMMAND, *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, timeout=500, check=False, **options)
 
 
 def with_little_space() -> None:
     """Limit the size of files to that of a take, which has the effect of a full disk."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
 
 
@@ -196,6 +195,7 @@ def test_the_source_video_is_never_overwritten(clip, tmp_path):
     assert copy.read_bytes() == clip.read_bytes()
 
 
+@needs_posix
 @pytest.mark.thorough
 def test_a_full_disk_does_not_lose_the_tracking(clip, tmp_path):
     done = run("puppet", clip, "-o", tmp_path / "out.blend", preexec_fn=with_little_space)
@@ -216,10 +216,11 @@ def test_a_head_that_cannot_be_baked_to_is_reported_before_tracking(clip, tmp_pa
     assert done.returncode == 1 and "are absolute" in done.stderr and "Tracking" not in done.stderr
 
 
+@needs_posix
 @pytest.mark.thorough
 def test_closed_output_streams_are_not_errors(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
-    select = f"{COMMAND} select {tmp_path / 'take.facetake'} -o {tmp_path / 'points.json'}"
+    select = f"{COMMAND[0]} select {tmp_path / 'take.facetake'} -o {tmp_path / 'points.json'}"
     for line in (f"{select} | true; exit ${{PIPESTATUS[0]}}", f"{select} >&-", f"{select} 2>&- >&- <&-"):
         done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
         assert done.returncode == 0 and done.stderr == "", line
@@ -273,13 +274,16 @@ def test_errors_are_one_line_and_keep_the_earlier_output(clip, faceless, tmp_pat
     assert sorted(p.name for p in tmp_path.iterdir()) == ["broken.facetake", "empty.mp4", "good.facetake", "text.mp4"]
 
 
+@needs_posix
 def test_ctrl_c_keeps_the_tracked_frames(tmp_path):
+    import pty
+
     output = tmp_path / "take.facetake"
     try:
         terminal, side = pty.openpty()
     except OSError as error:
         pytest.skip(f"this system gives no terminal: {error}")
-    with subprocess.Popen([COMMAND, "track", SAMPLE / "sample.mp4", "-o", output], stderr=side) as process:
+    with subprocess.Popen([*COMMAND, "track", SAMPLE / "sample.mp4", "-o", output], stderr=side) as process:
         os.close(side)
         heard = b""
         while not re.search(rb"\] [1-9]\d*/", heard):

@@ -21,15 +21,15 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rendering import write_video
 from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
+from tests.helpers.commands import COMMAND, needs_posix
 from tests.helpers.takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
-COMMAND = Path(sys.prefix) / "bin" / "facemime"
 
 
 def run(*arguments: object, **options: object) -> subprocess.CompletedProcess:
     """Run `facemime`; options as for `subprocess.run`."""
-    line = [COMMAND, *map(str, arguments)]
+    line = [*COMMAND, *map(str, arguments)]
     return subprocess.run(line, capture_output=True, text=True, timeout=300, check=False, **options)
 
 
@@ -43,7 +43,7 @@ def take(tmp_path) -> Path:
 @contextlib.contextmanager
 def started(*arguments: object, until: Path) -> Iterator[subprocess.Popen]:
     """Start `facemime`, and yield its process once the file `until` has frames."""
-    with subprocess.Popen([COMMAND, *map(str, arguments)], stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen([*COMMAND, *map(str, arguments)], stderr=subprocess.PIPE, text=True) as process:
         while not (until.exists() and until.stat().st_size > 5_000):
             assert process.poll() is None
             time.sleep(0.005)
@@ -96,6 +96,7 @@ def test_no_output_may_be_one_of_the_inputs(take, tmp_path):
     assert (tmp_path / "own.blend").read_bytes() == before and len(load_take(take)) == 60
 
 
+@needs_posix
 @pytest.mark.parametrize(
     ("by", "status"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.thorough)]
 )
@@ -114,6 +115,7 @@ def test_an_interrupted_puppet_keeps_earlier_output_and_the_tracked_part(take, t
     assert len(load_take(take)) == 60 and not (tmp_path / "out.blend").exists()
 
 
+@needs_posix
 @pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_while_blender_is_imported_is_not_lost_and_prints_no_traceback(take, tmp_path, by):
     package = tmp_path / "bpy.py"  # substitute for the real one, which handles signals itself during its import
@@ -128,10 +130,11 @@ def test_a_signal_while_blender_is_imported_is_not_lost_and_prints_no_traceback(
     assert done.returncode == 128 + by and done.stderr == "facemime: interrupted; nothing was written.\n"
 
 
+@needs_posix
 @pytest.mark.thorough
 def test_a_signal_while_rendering_leaves_no_partial_output(take, tmp_path):
     preview = tmp_path / "out.mp4"
-    line = [COMMAND, "puppet", take, "-o", tmp_path / "out.blend", "--preview", preview]
+    line = [*COMMAND, "puppet", take, "-o", tmp_path / "out.blend", "--preview", preview]
     with subprocess.Popen(line, stderr=subprocess.PIPE, text=True) as process:
         while not list(tmp_path.glob(".facemime-*.mp4")):
             assert process.poll() is None
@@ -142,9 +145,10 @@ def test_a_signal_while_rendering_leaves_no_partial_output(take, tmp_path):
     assert set(os.listdir(tmp_path)) == {"take.facetake", "out.blend"}
 
 
+@needs_posix
 @pytest.mark.thorough
 def test_closed_or_full_streams_do_not_stop_the_puppet(take, tmp_path):
-    line = f"{COMMAND} puppet {take} -o {tmp_path / 'out.blend'}"
+    line = f"{COMMAND[0]} puppet {take} -o {tmp_path / 'out.blend'}"
     for streams in (">&-", ">&- 2>&- <&-", "2>/dev/full", ">/dev/full"):
         done = subprocess.run(["bash", "-c", f"{line} {streams}"], capture_output=True, text=True, check=False)
         assert done.returncode == 0 and "Traceback" not in done.stderr, (streams, done.stderr)
@@ -195,10 +199,11 @@ def test_a_disk_that_is_full_from_the_start_is_reported_for_videos_and_reports(s
     )
 
 
+@needs_posix
 @pytest.mark.thorough
 def test_the_processes_of_a_killed_batch_end_and_the_next_run_cleans_up(tmp_path):
     out = tmp_path / "out"
-    with subprocess.Popen([COMMAND, "batch", SAMPLE, "-o", out, "--jobs", "1"], stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen([*COMMAND, "batch", SAMPLE, "-o", out, "--jobs", "1"], stderr=subprocess.DEVNULL) as process:
         while not list(out.glob("*.unfinished.facetake")):
             assert process.poll() is None
             time.sleep(0.005)

@@ -47,6 +47,14 @@ def files(folder: Path) -> list[str]:
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
 
 
+def test_a_user_without_a_home_has_a_folder_for_takes(monkeypatch):
+    def missing() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(Path, "home", missing)
+    assert DOCUMENTS().is_dir()
+
+
 def test_nothing_of_the_users_is_in_the_folder_that_is_deleted_with_the_extension(home):
     keep()
     assert bpy.ops.facemime.save_preset(name="Mine") == {"FINISHED"}

@@ -15,6 +15,9 @@ import facemime
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
 START = [sys.executable, "-m", "facemime.cli"]
+_INSTALLED = Path(sys.prefix) / "bin" / "facemime"
+COMMAND = [str(_INSTALLED)] if _INSTALLED.exists() else START
+"""What a user types."""
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="signals and pipes as POSIX has them")
 
 
