@@ -9,7 +9,7 @@ import contextlib
 import os
 import sys
 
-from .stopping import STOPPING, follow_stdin, open_standard_streams
+from .stopping import STOPPING, end_process, follow_stdin, open_standard_streams
 
 TYPE_CHECKING = False  # as typing has it, which is imported once signals are heard
 if TYPE_CHECKING:
@@ -66,7 +66,7 @@ def _leave(status: int) -> NoReturn:
             stream.flush()
     if "bpy" in sys.modules:
         _remove_blenders_folder()
-    os._exit(status)
+    end_process(status)
 
 
 def _remove_blenders_folder() -> None:

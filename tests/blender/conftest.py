@@ -9,6 +9,7 @@ import bpy
 import pytest
 
 import facemime
+from facemime.blender import rendering
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.new_heads import add_head
 from facemime.core.puppet.sources import PacedSource
@@ -19,6 +20,7 @@ from facemime.sessions.start import start_session
 from facemime.settings import storage
 from facemime.settings.performers import write_calibration
 from tests.helpers.clocks import AskedClock
+from tests.helpers.owners import UNDER_WINE
 from tests.helpers.scans import scanned
 from tests.helpers.takes import performance
 
@@ -55,6 +57,15 @@ def _registered(_own_documents):
 @pytest.fixture(autouse=True)
 def _empty_file(_registered):
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _pictures_where_they_can_be_drawn():
+    """Skip tests that render under wine, which has no graphics here and would crash."""
+    with pytest.MonkeyPatch.context() as patch:
+        if UNDER_WINE:
+            patch.setattr(rendering, "_rendered", lambda *_: pytest.skip("wine draws no pictures"))
+        yield
 
 
 @pytest.fixture(autouse=True)

@@ -44,7 +44,7 @@ def save(path: Path, **options):
 
 
 def files(folder: Path) -> list[str]:
-    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file())
+    return sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
 
 
 def test_a_user_without_a_home_has_a_folder_for_takes(monkeypatch):

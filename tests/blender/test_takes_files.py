@@ -84,15 +84,43 @@ def test_the_path_of_a_take_becomes_relative_when_the_file_is_saved(tmp_path):
     assert line.path == "//First.facetake"
 
 
+@pytest.mark.parametrize(
+    "text", ["Größe;1,5\n".encode("cp1252"), "frame,x\n".encode("utf-16")], ids=["cp1252", "utf-16"]
+)
+def test_tables_of_another_encoding_are_one_error_each(in_a_project, tmp_path, text):
+    add_head(bpy.context)
+    for name, suffix in (("import_take", ".csv"), ("import_key_map", ".json"), ("import_preset", ".json")):
+        path = tmp_path / f"odd{suffix}"
+        path.write_bytes(text)
+        with pytest.raises(RuntimeError) as caught:
+            getattr(bpy.ops.facemime, name)(filepath=str(path))
+        assert str(caught.value).startswith("Error: ") and "Traceback" not in str(caught.value)
+
+
+@pytest.mark.skipif(os.name != "nt", reason="Windows alone refuses such names")
+@pytest.mark.parametrize(
+    ("name", "suffix"),
+    [
+        *(("import_take", ".facetake"), ("import_take", ".csv"), ("import_facegen", ".tri"), ("puppet_video", ".mp4")),
+        *(("import_key_map", ".json"), ("import_preset", ".json"), ("export_preset", ".json")),
+    ],
+)
+def test_names_that_windows_refuses_are_one_error_each(in_a_project, tmp_path, name, suffix):
+    add_head(bpy.context)
+    with pytest.raises(RuntimeError) as caught:
+        getattr(bpy.ops.facemime, name)(filepath=str(tmp_path / f"what?{suffix}"))
+    assert str(caught.value).startswith("Error: ") and "Traceback" not in str(caught.value)
+
+
 def test_invalid_names_and_endless_files_are_one_error_each(in_a_project, takes, tmp_path):
     (tmp_path / "takes").mkdir()
     save_take(performance(), tmp_path / "takes" / "good.facetake")
-    odd = Path(os.fsdecode(os.fsencode(tmp_path / "takes") + b"/a\xff.facetake"))
     try:
+        odd = Path(os.fsdecode(os.fsencode(tmp_path / "takes") + b"/a\xff.facetake"))
         save_take(performance(), odd)
         (tmp_path / "takes" / "loop.facetake").symlink_to("loop.facetake")
         os.mkfifo(tmp_path / "endless.json")
-    except (OSError, AttributeError, NotImplementedError):
+    except (OSError, AttributeError, NotImplementedError, UnicodeDecodeError):
         pytest.skip("this system has no such names, links and pipes")
     for path in (tmp_path / ("x" * 300), odd.with_suffix("")):
         for name, suffix in (

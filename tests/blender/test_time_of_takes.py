@@ -17,6 +17,7 @@ from facemime.core.takes.file import save_take
 from facemime.sessions.show import TakeShow
 from tests.helpers.commands import run
 from tests.helpers.curves import curves_of
+from tests.helpers.owners import UNDER_WINE
 from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
@@ -141,6 +142,7 @@ def test_a_take_keeps_its_own_time_after_the_start():
     assert keyed(head)[0] == pytest.approx(151.0)
 
 
+@pytest.mark.skipif(UNDER_WINE, reason="wine draws no pictures")
 def test_a_character_of_another_scene_gets_the_rate_and_range_of_its_own(tmp_path):
     own, edit = bpy.context.scene, bpy.data.scenes.new("Edit")
     add_head(bpy.context).name = "Face"
