@@ -83,9 +83,11 @@ test-core: setup
 demo: setup
 	@sh tools/demo.sh "$(VIDEO)"
 
-# The extension, a zip per platform and version of Python.
+# The extension, a zip per platform and version of Python, and the repository's index. With TAG=v1.0.0 for a release, which
+# must not have placeholders.
+TAG ?=
 build: setup viewer
-	$(BIN)/python tools/build.py
+	$(BIN)/python tools/build.py $(TAG)
 
 # The versions of Blender that the extension is tested with, each in a separate environment.
 blenders: setup

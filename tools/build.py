@@ -7,13 +7,17 @@ has both, as distributions build these with a newer Python: Debian 13 has Blende
 
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
 import tempfile
 import tomllib
+import zipfile
 from itertools import product
 from pathlib import Path
+
+import release
 
 ROOT = Path(__file__).resolve().parents[1]
 DIST = ROOT / "dist"
@@ -24,6 +28,8 @@ PYTHONS = {
     "5.1": ("3.13", 'blender_version_min = "5.1.0"'),
 }
 """The first Blender of each version of Python, this version, and the lines of the manifest."""
+LICENCE = re.compile(r"\.dist-info/(licenses/)?(LICEN[CS]E|COPYING|AUTHORS|NOTICE)[^/]*$")
+"""Names of licences in wheels."""
 PIP_PLATFORMS = {
     "linux-x64": "manylinux_2_17_x86_64",
     "windows-x64": "win_amd64",
@@ -33,7 +39,10 @@ PIP_PLATFORMS = {
 
 
 def main() -> int:
-    """Build into `dist/`; return the exit status."""
+    """Build into `dist/`, for the release of a tag if one is given; return the exit status."""
+    if sys.argv[1:] and (found := release.problems(sys.argv[1], *release.read())):
+        print("\n".join(found), file=sys.stderr)
+        return 1
     manifest = tomllib.loads((ROOT / MANIFEST).read_text(encoding="utf-8"))
     fetch_wheels(manifest)
     subprocess.run([sys.executable, str(ROOT / "tools" / "manual.py")], check=True)
@@ -50,6 +59,7 @@ def main() -> int:
     for archive in archives:
         run(tool, "validate", str(archive))
         print(f"{archive.relative_to(ROOT)}  {archive.stat().st_size / 1e6:.1f} MB")
+    run(tool, "server-generate", "--repo-dir", str(DIST))
     return 0
 
 
@@ -77,10 +87,28 @@ def pack(tool: Path, blender: str) -> None:
         kept = [line for line in lines if not is_unfit(line)]
         own = "\n".join(versions if line.startswith("blender_version_min") else line for line in kept)
         (source / MANIFEST).write_text(own + "\n", encoding="utf-8")
+        copy_licences(source / "wheels", source / "licences")
         run(tool, "build", "--source-dir", str(source), "--output-dir", str(packed), "--split-platforms")
         for archive in packed.iterdir():
             name, version, platform = archive.name.split("-")
             shutil.move(archive, DIST / f"{name}-{version}-blender_{blender}-{platform}")
+
+
+def copy_licences(wheels: Path, folder: Path) -> None:
+    """Copy the licences in wheels to a folder per project; of texts that differ by platform, all.
+
+    Parameters
+    ----------
+    wheels, folder : Path
+    """
+    for wheel in sorted(wheels.glob("*.whl")):
+        with zipfile.ZipFile(wheel) as archive:
+            for name in filter(LICENCE.search, archive.namelist()):
+                place, text = folder / wheel.name.split("-")[0] / Path(name).name, archive.read(name)
+                if place.exists() and place.read_bytes() != text:
+                    place = place.with_stem(f"{place.stem}-{wheel.stem.split('-')[-1]}")
+                place.parent.mkdir(parents=True, exist_ok=True)
+                place.write_bytes(text)
 
 
 def fetch_wheels(manifest: dict) -> None:

@@ -1,5 +1,6 @@
 """The built zip in every supported Blender."""
 
+import hashlib
 import json
 import os
 import re
@@ -78,7 +79,21 @@ def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(bl
         "assets/viewer/index.html",
         "assets/viewer/built/viewer.js",
         "assets/viewer/built/LICENSE",
+        "assets/facegen/LICENSE.txt",
+        *(f"licences/{name.split('-')[0]}/" for name in wheels),
     ):
-        assert needed in names
+        assert any(name.startswith(needed) for name in names), needed
+    assert "assets/sample/sample_landmarks.npz" not in names
     for unwanted in ("lab/training/", "tests/", "lab/bench/", "docs/", "tools/", ".", "Makefile", "pyproject.toml"):
         assert not [name for name in names if name.startswith(unwanted)]
+
+
+def test_the_index_from_which_blender_updates_names_each_zip():
+    index = ROOT / "dist" / "index.json"
+    if not index.exists():
+        pytest.skip("the extension is not built: make build")
+    entries = json.loads(index.read_text())["data"]
+    assert {entry["archive_url"] for entry in entries} == {f"./{path.name}" for path in index.parent.glob("*.zip")}
+    for entry in entries:
+        data = (index.parent / entry["archive_url"]).read_bytes()
+        assert entry["archive_hash"] == f"sha256:{hashlib.sha256(data).hexdigest()}"
