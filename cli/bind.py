@@ -46,6 +46,11 @@ def add_commands(commands: Commands) -> None:
         metavar="TAKE",
         help="a take whose motion ARKit's keys shall reproduce; may be repeated",
     )
+    bind.add_argument(
+        "--learn-controls",
+        action="store_true",
+        help="also learn what the controls of the character's own rig do to its face, for puppet --keys controls",
+    )
     bind.add_argument("--cut-open", action="store_true", help="cut open lips and eyes that are joined, as on a scan")
     points = "; ".join(f"{number} {name.lower()}" for number, name in sorted(MARKS.items()))
     bind.add_argument(
@@ -73,7 +78,12 @@ def _run_bind(given: Options) -> int:
     with outputs_of(((output, {".blend"}), (picture, {".png"})), {"the character": given["character"].path}):
         keys = None if make_keys is None else KEY_SETS[make_keys]
         bound = headless.bind(
-            given["character"], keys=keys, takes=takes, cut_open=given["cut_open"], marks=dict(given["mark"])
+            given["character"],
+            keys=keys,
+            takes=takes,
+            cut_open=given["cut_open"],
+            marks=dict(given["mark"]),
+            controls=given["learn_controls"],
         )
         headless.save(bound, output)
         if picture is not None:
@@ -81,6 +91,8 @@ def _run_bind(given: Options) -> int:
     say(bound.table())
     if bound.keys is not None:
         say(bound.key_table())
+    if bound.controls is not None:
+        say(bound.control_table())
     for problem in bound.problems:
         tell(f"facemime: {for_terminal(problem)}")
     if doubt := bound.doubt():

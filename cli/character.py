@@ -34,6 +34,8 @@ from ..core.heads.key_map import ESSENTIAL
 from ..core.heads.rig import PART_NAMES
 from ..core.numeric.arrays import FloatArray
 from ..core.puppet.job import HeadFile
+from ..core.rigs.control_names import role_of
+from ..core.rigs.rig_map import RigMap
 from ..core.takes.take import Take
 from .character_files import (
     CUTS,
@@ -47,6 +49,7 @@ from .character_files import (
     set_frames,
 )
 from .console import Progress, tell
+from .controls import learn
 from .headless import AVATAR_SIDE, save_blend
 from .stopping import STOPPING
 
@@ -143,12 +146,15 @@ class BoundCharacter:
         What keeps it from being driven well.
     keys : MadeKeys or None
         The shape keys that were made.
+    controls : RigMap or None
+        The controls of its own rig that were learnt.
     """
 
     head: bpy.types.Object
     binding: Binding | None
     problems: list[str]
     keys: MadeKeys | None = None
+    controls: RigMap | None = None
 
     def doubt(self) -> str:
         """Return what to do if this may not be the face, and where the points that matter are now; "" if it is."""
@@ -184,6 +190,13 @@ class BoundCharacter:
         width = max(len(row[0]) for row in rows)
         return "\n".join(f"{row[0]:{width}}" + "".join(f"  {cell:>8}" for cell in row[1:]) for row in rows)
 
+    def control_table(self) -> str:
+        """Return a line for each control that was learnt: the region that it moves, and what its name says it is."""
+        found = {} if self.controls is None else self.controls.regions
+        rows = [("control", "region", "named"), *((name, region, role_of(name)) for name, region in found.items())]
+        widths = [max(len(row[i]) for row in rows) for i in range(2)]
+        return "\n".join(f"{name:{widths[0]}}  {region:{widths[1]}}  {role}".rstrip() for name, region, role in rows)
+
 
 def _percent(share: float) -> str:
     return "" if np.isnan(share) else f"{100 * share:.1f}"
@@ -196,11 +209,13 @@ def bind(
     takes: Sequence[Take] = (),
     cut_open: bool = False,
     marks: Mapping[int, Mark] = _NO_MARKS,
+    controls: bool = False,
 ) -> BoundCharacter:
     """Open or import a character and bind it, and make a set of shape keys if one is given.
 
     Joined lips and eyes are cut open first if `cut_open` is set. The takes refine the keys; marks are points of the
-    face, by iBUG number. Raises FacemimeError if the file cannot be read, has no such object, or no face is found.
+    face, by iBUG number. The controls of its own rig are learnt if `controls` is set. Raises FacemimeError if the file
+    cannot be read, has no such object, no face is found, or no control moves it.
     """
     with read_from(character.path):
         open_file(character.path)
@@ -208,6 +223,11 @@ def bind(
         with showing_scene(scene_of(chosen)):
             head, binding = _bound(chosen, marks)
             if binding is None:
+                if controls:
+                    raise HeadError(
+                        "No face was found on {name}, which learning its controls requires. Mark points of its face.",
+                        name=head.name,
+                    )
                 return BoundCharacter(head, None, [])
             prepare_imported(character.path, head)
             for step in [finding.step for finding in check_object(head)] if cut_open else []:
@@ -216,8 +236,10 @@ def bind(
             made = None if keys is None else make_expression_keys(head, keys, takes)
             if made is not None:
                 tell(". ".join([made.summary(), *made.findings]))
+            learnt = learn(head) if controls else None
             findings = [*binding.findings, *check_object(head)]
-            return BoundCharacter(head, binding, [f"{finding.problem} {finding.remedy}" for finding in findings], made)
+            problems = [f"{finding.problem} {finding.remedy}" for finding in findings]
+            return BoundCharacter(head, binding, problems, made, learnt)
 
 
 def _bound(chosen: bpy.types.Object, marks: Mapping[int, Mark]) -> tuple[bpy.types.Object, Binding | None]:

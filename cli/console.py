@@ -185,6 +185,8 @@ REMEDIES = {
     "Set these parts to Skin, or find the face again.": "Run bind again, or set these parts to Skin in Blender.",
     "Paint their regions over them, or find the face again.": "Paint their regions over them in Blender.",
     "or use Reset Regions.": "or use Reset Regions, in Blender.",
+    "Use Learn Controls in the Head panel first.": "Use bind with --learn-controls first.",
+    "Learn the controls again.": "Use bind with --learn-controls again.",
     "and find the face again.": "and run bind again.",
     "or find the face again.": "or run bind again.",
     "Find the face again.": "Run bind again.",

@@ -25,7 +25,7 @@ from ..blender.rendering import render_frames, set_rate, without_subdivision, wr
 from ..blender.rigs import read_rig
 from ..blender.styles import add_style
 from ..blender.timeline import frames_of
-from ..core.bake.bake_settings import AUTOMATIC, BakeSettings
+from ..core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
 from ..core.control_points.greedy import GreedySelection
 from ..core.control_points.select import from_json
 from ..core.drive.driver import select_distinct_frames
@@ -40,6 +40,7 @@ from ..core.takes.take import Take
 from ..core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
 from .character_files import open_head
 from .console import Progress, tell
+from .controls import ensure_learnt
 from .stopping import STOPPING
 
 Image = NDArray[np.uint8]
@@ -77,6 +78,8 @@ def open_stage(job: PuppetJob) -> Stage:
         write_selection(mesh_of(head), points)
     if style is not None:
         add_style(head, style, len(read_rig(head).all_vertices))
+    if settings.bake.keys == CONTROLS:
+        ensure_learnt(head)
     check_heads([head], settings.bake)
     return Stage(scene_of(head), head, settings)
 

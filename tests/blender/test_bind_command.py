@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.fcurves import curves_in
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import read_marks
 from facemime.blender.heads.new_heads import add_head
@@ -14,8 +15,11 @@ from facemime.cli.console import REMEDIES, for_terminal
 from facemime.core.errors import FacemimeError, HeadError
 from facemime.core.face.landmarks import from_ibug, outer_eye_distance
 from facemime.core.heads.bind import MARKS, TOO_COARSE
+from facemime.core.takes.file import save_take
 from tests.helpers.blenders import ROOT
 from tests.helpers.commands import run
+from tests.helpers.face_rigs import make_face_rig
+from tests.helpers.takes import performance
 
 
 @pytest.fixture
@@ -122,3 +126,37 @@ def test_every_remedy_of_the_window_that_is_replaced_occurs_in_a_message():
     for window, terminal in REMEDIES.items():
         assert window in sources or window.replace(" ", "") in joined.replace(" ", "").replace('"', ""), window
         assert for_terminal(f"Problem. {window}") == f"Problem. {terminal}"
+
+
+@pytest.mark.thorough
+def test_controls_are_learnt_by_bind_and_animated_by_puppet(tmp_path):
+    head, _ = make_face_rig()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rig.blend"))
+    done = run("bind", f"{tmp_path / 'rig.blend'}:{head.name}", "-o", tmp_path / "learnt.blend", "--learn-controls")
+    assert done.returncode == 0 and "controls found; they can show" in done.stderr
+    assert "Hinge" in done.stdout and "Slider" in done.stdout
+    save_take(performance(), tmp_path / "take.facetake")
+    line = ("--head", tmp_path / "learnt.blend", "--keys", "controls")
+    done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *line)
+    assert done.returncode == 0 and "controls found" not in done.stderr and "controls, largest error" in done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "out.blend"))
+    assert len(curves_in(bpy.data.objects["Rig"].animation_data)) > 20
+
+
+@pytest.mark.thorough
+def test_puppet_learns_controls_that_are_not_known(tmp_path):
+    make_face_rig()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "rig.blend"))
+    save_take(performance(), tmp_path / "take.facetake")
+    line = ("--head", tmp_path / "rig.blend", "--keys", "controls")
+    done = run("puppet", tmp_path / "take.facetake", "-o", tmp_path / "out.blend", *line)
+    assert done.returncode == 0 and "controls found" in done.stderr and "controls, largest error" in done.stderr
+
+
+@pytest.mark.thorough
+def test_a_character_without_a_rig_has_no_controls_to_learn(tmp_path):
+    add_head(bpy.context)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "head.blend"))
+    done = run("bind", tmp_path / "head.blend", "-o", tmp_path / "out.blend", "--learn-controls")
+    assert done.returncode == 1 and "No control of Facemime Head moves its face" in done.stderr
+    assert not (tmp_path / "out.blend").exists()
