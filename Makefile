@@ -185,6 +185,8 @@ bench-rigs: setup
 	$(BIN)/facemime track ../shared/data/expressions/clips/d10.mp4 -o build/bench/d10.facetake
 	$(BIN)/facemime track assets/sample/sample.mp4 -o build/bench/sample.facetake
 	$(BIN)/python -m lab.bench.rigs ../shared/data/rigs/*.blend --takes build/bench/d10.facetake build/bench/sample.facetake --json build/bench/rigs.json
+	$(BIN)/python -m lab.bench.few_controls ../shared/data/rigs/rigify.blend --shown build/bench/d10.facetake build/bench/sample.facetake --json build/bench/few_controls.json
+	$(BIN)/python -m lab.bench.few_controls ../shared/data/rigs/rigify.blend --chosen build/bench/sample.facetake --shown build/bench/d10.facetake --json build/bench/few_controls_of_a_take.json
 
 # The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
 bench-coefficients: setup

@@ -37,9 +37,9 @@ from .settings import (
     storage,
     takes_properties,
 )
+from .ui import control_arrows, documentation, landmark_editor, menus, overlays, status
 from .ui import control_points as control_points_panel
 from .ui import controls as controls_panel
-from .ui import documentation, landmark_editor, menus, overlays, status
 from .ui import head as head_panels
 from .ui import puppet as puppet_panel
 from .ui import source as source_panel
@@ -87,6 +87,7 @@ _MODULES = (
     teaching_panel,
     status,
     overlays,
+    control_arrows,
     landmark_editor,
     entry,
     session,

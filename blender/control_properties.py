@@ -6,24 +6,48 @@ They are here and not among the settings, as the command needs them, too, which 
 import sys
 
 import bpy
-from bpy.props import BoolProperty, CollectionProperty, FloatProperty, StringProperty
+from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, StringProperty
 
+from .callbacks import use_few
 from .registering import register_module
 
 
 class FacemimeControl(bpy.types.PropertyGroup):
-    """A control of a rig that was learnt, by its name, and the region of the face that it moves most."""
+    """A control of a rig that was learnt, by its name, and the region of the face that it moves most.
+
+    `order` is its place among those that help most, from 1, or 0 if they were not ranked, and `error` what those up to
+    it leave of the motion.
+    """
 
     region: StringProperty(options={"HIDDEN"})
-    use: BoolProperty(name="Use", description="Animate this control when a take is baked to controls", default=True)
+    order: IntProperty(options={"HIDDEN"})
+    error: FloatProperty(options={"HIDDEN"})
+    use: BoolProperty(
+        name="Use", description="Animate this control, in bakes to controls as well as live", default=True
+    )
 
 
 class FacemimeRig(bpy.types.PropertyGroup):
-    """The controls of a head's rig. `data` is their map in base64, and `shown` the share that they can show."""
+    """The controls of a head's rig. `data` is their map in base64, and `shown` the share that they can show.
+
+    `ranked` names the motion for which they were ranked; "" if they were not.
+    """
 
     controls: CollectionProperty(type=FacemimeControl)
     data: StringProperty(options={"HIDDEN"})
     shown: FloatProperty(options={"HIDDEN"})
+    ranked: StringProperty(options={"HIDDEN"})
+    few: IntProperty(
+        name="Controls",
+        description="Use this many controls, those that help most; all others are cleared",
+        min=1,
+        soft_max=100,
+        default=1,
+        update=use_few,
+    )
+    active: IntProperty(
+        name="Control", description="Control selected in the list", min=-1, default=-1, options={"HIDDEN"}
+    )
 
 
 POINTERS = ((bpy.types.Object, "facemime_rig", FacemimeRig),)

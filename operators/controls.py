@@ -1,17 +1,30 @@
-"""Operator that learns what the controls of a character's own rig do to its face."""
+"""Operators on the controls of a character's own rig: what they do to its face, and which of them help most."""
 
 from collections.abc import Generator
 from contextlib import closing
 
 import bpy
+import numpy as np
 from bpy.app.translations import pgettext_rpt as _
+from bpy.props import IntProperty, StringProperty
 
 from ..blender.controls.probing import Learning
-from ..blender.controls.stored import rig_group, write_controls
+from ..blender.controls.sheet import ControlSheet
+from ..blender.controls.stored import rig_group, stored_map, write_controls, write_order
 from ..blender.heads.parts import ensure_bones
+from ..blender.rigs import read_rig
+from ..core.errors import HeadError
+from ..core.numeric.arrays import FloatArray
+from ..core.puppet.performer import Performance
+from ..core.rigs.few import ControlOrder, face_units
 from ..sessions.session import Session
-from .shared import OnHead, report, require_mesh, require_object_mode, required_subject
+from ..settings import takes_store
+from ..settings.values import puppet_settings
+from .shared import AsksForFileToWrite, OnHead, report, require_mesh, require_object_mode, required_subject
 from .steps import WorksInSteps
+
+_FRAMES = 52
+"""Frames of a take for which controls are ranked, evenly spaced."""
 
 
 class FACEMIME_OT_learn_controls(WorksInSteps, OnHead, bpy.types.Operator):
@@ -37,3 +50,78 @@ class FACEMIME_OT_learn_controls(WorksInSteps, OnHead, bpy.types.Operator):
         write_controls(head, found)
         share = round(100.0 * rig_group(head).shown)
         report(self, "{count} controls found; they can show {share} %", count=len(found.controls), share=share)
+
+
+class FACEMIME_OT_rank_controls(WorksInSteps, OnHead, bpy.types.Operator):
+    """Find out which controls of the rig help most to show a motion, so that few of them can be used"""
+
+    bl_idname = "facemime.rank_controls"
+    bl_label = "Rank Controls"
+
+    take: IntProperty(
+        name="Take",
+        description="Index of the take in the list; -1 for ARKit's expressions",
+        default=-1,
+        min=-1,
+        options={"SKIP_SAVE"},
+    )
+
+    def status(self) -> str:
+        return _("Facemime: ranking the controls; Esc to cancel")
+
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
+        """Add the control that helps most, again and again."""
+        head = required_subject(context)
+        found = stored_map(head)
+        if found is None:
+            raise HeadError(
+                "The controls of {name} are not known. Use Learn Controls in the Head panel first.", name=head.name
+            )
+        motion = face_units(found.unit) if self.take < 0 else motion_of_take(context.scene, head, self.take)
+        order = ControlOrder(found, motion)
+        yield from order.steps()
+        name = "" if self.take < 0 else takes_store.at(context.scene, self.take).name
+        write_order(head, order, name)
+        report(self, "{count} controls ranked", count=len(found.controls))
+
+
+def motion_of_take(scene: bpy.types.Scene, head: bpy.types.Object, place: int) -> FloatArray:
+    """Displacements (N, 66, 3) of a head's landmarks in frames of the take at a place in the list.
+
+    Raises FacemimeError if there is no such take, or it contains no face.
+    """
+    take = takes_store.read(takes_store.at(scene, place))
+    performance, rig = Performance.of(take, puppet_settings(scene.facemime)), read_rig(head)
+    driver, rest = performance.driver(rig), rig.vertices[rig.landmarks]
+    seen = np.flatnonzero(performance.take.found)
+    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, _FRAMES).astype(np.intp))]
+    frames = [driver.frame(performance.take.result(int(row))).vertices[rig.landmarks] for row in chosen]
+    return np.asarray(np.array(frames, dtype=np.float64) - rest)
+
+
+class FACEMIME_OT_export_control_sheet(AsksForFileToWrite, OnHead, bpy.types.Operator):
+    """Export a page that shows what each control of the rig that is used does to the face, with its range"""
+
+    bl_idname = "facemime.export_control_sheet"
+    bl_label = "Export Control Sheet"
+    needs = (require_object_mode, require_mesh)
+
+    filter_glob: StringProperty(default="*.html", options={"HIDDEN"})
+
+    def work(self, context: bpy.types.Context) -> None:
+        """Pose the rig, and write the page."""
+        path, sheet, manager = (
+            self.path_ending(".html"),
+            ControlSheet(required_subject(context)),
+            context.window_manager,
+        )
+        if (session := Session.running()) is not None:
+            session.close()
+        manager.progress_begin(0.0, 1.0)
+        try:
+            for done in sheet.steps():
+                manager.progress_update(done)
+        finally:
+            manager.progress_end()
+        sheet.write(path)
+        report(self, "Written to {path}", path=path)

@@ -153,8 +153,8 @@ class LiveSession(Session):
         Whether the heads keep their pose at the end.
     drive_by : str
         The setting by which the heads are driven now.
-    styles : tuple
-        State of the styles of the heads that are in use.
+    styles, controls : tuple
+        State of the styles of the heads, and of the controls of their rigs, that are in use.
     shown : LiveResult or None
         The result on display; the worker may have a newer one.
     operator : bpy.types.Operator or None
@@ -181,6 +181,7 @@ class LiveSession(Session):
         self.stopwatch, self.keep = Stopwatch(), False
         self.drive_by = ""
         self.styles: tuple[object, ...] = ()
+        self.controls: tuple[object, ...] = ()
         self.shown: LiveResult | None = None
         self.operator: Any = None
         self.heads = [shown for shown, _ in heads]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import bpy
@@ -14,6 +14,7 @@ from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.scene_range import fit_range, outside_range
 from ..blender.animation.taught import own_values
 from ..blender.contexts import push_undo
+from ..blender.controls.stored import controls_state
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import show_error
 from ..blender.registering import watch
@@ -45,13 +46,15 @@ class _Wanted:
     drive_by: str
     rows: tuple[tuple[str, str, float, float], ...]
     styles: tuple[object, ...]
+    controls: tuple[object, ...]
 
     @classmethod
-    def of(cls, scene: bpy.types.Scene, objects: Iterable[bpy.types.Object]) -> _Wanted:
-        """Read the settings, and the state of the styles of heads."""
+    def of(cls, scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -> _Wanted:
+        """Read the settings, and the state of the styles of heads and of the controls of their rigs."""
         rows = tuple((row.source, row.key, row.gain, row.offset) for row in scene.facemime_takes.bake.rows)
         styles = tuple(style_state(obj) for obj in objects)
-        return cls(puppet_settings(scene.facemime), scene.facemime.drive_by, rows, styles)
+        controls = tuple(map(controls_state, objects))
+        return cls(puppet_settings(scene.facemime), scene.facemime.drive_by, rows, styles, controls)
 
 
 class TakeShow(Session):
@@ -143,7 +146,7 @@ class TakeShow(Session):
                 rig = replace(driver.rig, style=read_style(shown.obj)) if same_rigs else read_rig(shown.obj)
                 self.drivers[number] = self._driver(rig, keys, driver)
                 shown.follow = Follow(wanted.puppet.rotation, wanted.puppet.translation)
-                shown.drive_by(names_of(keys), controls_of(scene, shown.obj))
+                shown.drive_by(names_of(keys), controls_of(scene, shown.obj, shown.controls))
         self.show(scene)
 
     def show(self, scene: bpy.types.Scene) -> None:

@@ -10,7 +10,7 @@ import bpy
 from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.animation.live_controls import CONTROLS
 from ..blender.animation.live_keys import KEYS, SKIN, live_keys, names_of
-from ..blender.controls.stored import read_controls
+from ..blender.controls.stored import controls_state, read_controls, used_controls
 from ..blender.rigs import read_rig, rig_checks
 from ..blender.styles import read_style, style_state
 from ..core.errors import HeadError
@@ -94,6 +94,7 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     )
     session.worker.first.corrections = learnt
     session.keep, session.drive_by, session.styles = settings.keep_pose, settings.drive_by, _styles(shown)
+    session.controls = _controls(shown)
     try:
         session.displays.view(open_viewer(settings, objects))
         session.displays.send_vertices(open_vertices(settings.output, objects))
@@ -110,13 +111,22 @@ def keys_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> LiveKeys | None:
     return live_keys(obj, choice, read_table(bake) if choice == KEYS and len(bake.rows) else None)
 
 
-def controls_of(scene: bpy.types.Scene, obj: bpy.types.Object) -> RigMap | None:
-    """Return the controls that drive a head; None if something else does. Raises FacemimeError as `read_controls`."""
-    return read_controls(obj) if scene.facemime.drive_by == CONTROLS else None
+def controls_of(scene: bpy.types.Scene, obj: bpy.types.Object, before: RigMap | None = None) -> RigMap | None:
+    """Return the controls that drive a head; None if something else does. Raises FacemimeError as `read_controls`.
+
+    `before` are those that drove it in a running session, in which there may be none for a while.
+    """
+    if scene.facemime.drive_by != CONTROLS:
+        return None
+    return read_controls(obj) if before is None else used_controls(obj)
 
 
 def _styles(heads: Sequence[LiveHeadObject]) -> tuple[object, ...]:
     return tuple(() if shown.gone else style_state(shown.obj) for shown in heads)
+
+
+def _controls(heads: Sequence[LiveHeadObject]) -> tuple[object, ...]:
+    return tuple(() if shown.gone else controls_state(shown.obj) for shown in heads)
 
 
 def _choose_senders(source: LiveSource, objects: Sequence[bpy.types.Object | None]) -> None:
@@ -145,15 +155,15 @@ def follow_settings(session: LiveSession, scene: bpy.types.Scene) -> None:
     """
     settings = scene.facemime
     worker, options = session.worker, drive_settings(settings)
-    styles = _styles(session.heads)
-    if (session.drive_by, session.styles) != (settings.drive_by, styles):
-        session.drive_by, session.styles = settings.drive_by, styles
+    state = settings.drive_by, _styles(session.heads), _controls(session.heads)
+    if (session.drive_by, session.styles, session.controls) != state:
+        session.drive_by, session.styles, session.controls = state
         heads = []
         for head, shown in zip(worker.heads, session.heads, strict=True):
             keys, rig = head.keys, head.rig
             if not shown.gone:
                 keys, rig = keys_of(scene, shown.obj), replace(rig, style=read_style(shown.obj))
-                shown.drive_by(names_of(keys), controls_of(scene, shown.obj))
+                shown.drive_by(names_of(keys), controls_of(scene, shown.obj, shown.controls))
             heads.append(replace(head, keys=keys, rig=rig))
         session.update(heads)
     session.keep = settings.keep_pose

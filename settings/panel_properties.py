@@ -4,6 +4,7 @@ import bpy
 from bpy.props import (
     BoolProperty,
     CollectionProperty,
+    EnumProperty,
     FloatProperty,
     IntProperty,
     PointerProperty,
@@ -34,6 +35,15 @@ class FacemimeSteps(bpy.types.PropertyGroup):
     smooth_repeat: IntProperty(name="Repeat", description="Number of smoothing iterations", default=3, min=1, max=50)
     show_points: BoolProperty(
         name="Show Points", description="Show the landmarks on the head, with coloured control points"
+    )
+    arrows: EnumProperty(
+        name="Arrows",
+        description="Show on the face what the controls of its rig do",
+        items=[
+            ("NONE", "None", "Show no arrows"),
+            ("SELECTED", "Selected", "Show how the control that is selected in the list moves the face"),
+            ("ALL", "All", "Show where and how each control moves the face most"),
+        ],
     )
     landmark: IntProperty(
         name="Landmark", description="Landmark selected in the list or on the head", min=-1, default=-1

@@ -50,6 +50,7 @@ _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("facemime.open_eyes", "HIDE_OFF"),
         ("facemime.make_expression_keys", "SHAPEKEY_DATA"),
         ("facemime.learn_controls", "POSE_HLT"),
+        ("facemime.export_control_sheet", "EXPORT"),
     ),
 )
 """Operators of the menu Facemime with their icons, in groups: live, takes, heads."""
@@ -69,6 +70,7 @@ _SUBMENUS: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("FACEMIME_MT_regions", "GROUP_VERTEX"),
         ("FACEMIME_MT_select_from_take", "CURVE_DATA"),
         ("FACEMIME_MT_control_points", "CURVE_DATA"),
+        ("FACEMIME_MT_rank_controls", "CURVE_DATA"),
     ),
 )
 """Submenus below the operators of each group, with their icons."""

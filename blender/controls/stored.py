@@ -13,7 +13,8 @@ import bpy
 import numpy as np
 
 from ...core.errors import HeadError, SourceError
-from ...core.rigs.rig_map import RigMap
+from ...core.rigs.few import ControlOrder
+from ...core.rigs.rig_map import REGIONS, RigMap
 from ...core.rigs.solver import share_shown
 from ...core.rigs.storing import from_bytes, to_bytes
 from ..characters import members_of
@@ -36,17 +37,47 @@ def write_controls(head: bpy.types.Object, found: RigMap) -> None:
     group = rig_group(head)
     unused = {item.name for item in group.controls if not item.use}
     group.controls.clear()
-    for name, region in sorted(found.regions.items(), key=lambda item: item[1]):
+    group.active, group.ranked = -1, ""
+    order = list(REGIONS)
+    for name, region in sorted(found.regions.items(), key=lambda item: order.index(item[1])):
         item = group.controls.add()
         item.name, item.region, item.use = name, region, name not in unused
     group.shown = share_shown(found)
     group.data = base64.b64encode(to_bytes(found, fingerprint(head))).decode()
 
 
+def write_order(head: bpy.types.Object, order: ControlOrder, name: str) -> None:
+    """Store the order in which controls help to show the motion `name`; all of them stay in use."""
+    group = rig_group(head)
+    places: dict[str, tuple[int, float]] = {}
+    for controls, error in zip(order.groups, order.errors, strict=True):
+        places |= dict.fromkeys(controls, (len(places) + 1, error))
+    for item in group.controls:
+        item.order, item.error = places[item.name]
+    group.ranked, group.few = name, len(group.controls)
+
+
+def error_curve(head: bpy.types.Object) -> dict[int, float]:
+    """Return the error with each number of controls, ascending; nothing if they were not ranked."""
+    items = [item for item in rig_group(head).controls if item.order]
+    return {sum(other.order <= item.order for other in items): item.error for item in sorted(items, key=_order)}
+
+
+def _order(item: Any) -> int:
+    return int(item.order)
+
+
 def has_controls(head: bpy.types.Object) -> bool:
     """Return whether the controls of a head were learnt."""
     group = rig_group(head)
     return group is not None and bool(group.data)
+
+
+def are_known(head: bpy.types.Object) -> bool:
+    """Return whether the controls of a head were learnt, and its rig is as it was then."""
+    if stored_map(head) is None:
+        return False
+    return _decoded(rig_group(head).data)[1] == fingerprint(head)
 
 
 def stored_map(head: bpy.types.Object) -> RigMap | None:
@@ -73,16 +104,36 @@ def read_controls(head: bpy.types.Object) -> RigMap:
         raise HeadError(
             "The rig of {name} has changed since its controls were learnt. Learn the controls again.", name=head.name
         )
-    unused = {item.name for item in group.controls if not item.use}
-    chosen = found.chosen(np.array([channel.control not in unused for channel in found.channels]))
+    chosen = used_controls(head)
     if not chosen.channels:
         raise HeadError("No control of {name} is used. Enable some in Head > Controls.", name=head.name)
     return chosen
 
 
+def used_controls(head: bpy.types.Object) -> RigMap:
+    """Return what was learnt of the controls that are used, even if it is stale: the same object until others are.
+
+    Raises SourceError if what is stored is damaged.
+    """
+    group = rig_group(head)
+    return _chosen(group.data, frozenset(item.name for item in group.controls if not item.use))
+
+
+def controls_state(head: bpy.types.Object) -> tuple[bool, ...]:
+    """Return what changes whenever other controls are used; takes microseconds."""
+    group = rig_group(head)
+    return () if group is None else tuple(item.use for item in group.controls)
+
+
 def rig_group(head: bpy.types.Object) -> Any:
     """Return the properties of a head with its controls, a `FacemimeRig`; None if they are not registered."""
     return getattr(head, "facemime_rig", None)
+
+
+@lru_cache(maxsize=8)
+def _chosen(data: str, unused: frozenset[str]) -> RigMap:
+    found = _decoded(data)[0]
+    return found.chosen(np.array([channel.control not in unused for channel in found.channels]))
 
 
 @lru_cache(maxsize=4)

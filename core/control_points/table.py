@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..errors import HeadError
 from ..face.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..heads.regions import REGIONS, membership
+from ..numeric.arrays import FloatArray, IntArray
 from .greedy import GreedySelection, GreedyStep
 
 BY_HAND = "added by hand"
@@ -121,6 +122,13 @@ def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) 
     dark panels.
     """
     counts, errors = error_curve(selection)
+    return draw_errors(counts, errors, selection.tolerance, N_LANDMARKS, width, height)
+
+
+def draw_errors(
+    counts: IntArray, errors: FloatArray, level: float, most: int, width: int = 320, height: int = 200
+) -> NDArray[np.float32]:
+    """Draw errors (N,) over counts (N,) from 1 to `most`, as `draw_curve` does, with a horizontal line at an error."""
     picture = np.zeros((height, width, 4), dtype=np.uint8)
     left, right, low, top = 46, width - 12, height - 26, 14
     ink, line, goal = (128, 128, 128, 255), (40, 130, 220, 255), (235, 150, 30, 255)
@@ -128,22 +136,22 @@ def draw_curve(selection: GreedySelection, width: int = 320, height: int = 200) 
     cv2.line(picture, (left, top), (left, low), ink, 1, cv2.LINE_AA)
     if len(counts) == 0:
         return picture.astype(np.float32)[::-1] / 255.0
-    largest = max(float(errors.max()), selection.tolerance, 1e-9) * 1.05
-    across = left + (right - left) * (counts - 1) / max(N_LANDMARKS - 1, 1)
+    largest = max(float(errors.max()), level, 1e-9) * 1.05
+    across = left + (right - left) * (counts - 1) / max(most - 1, 1)
     up = low - (low - top) * errors / largest
-    level = round(low - (low - top) * selection.tolerance / largest)
-    cv2.line(picture, (left, level), (right, level), goal, 1, cv2.LINE_AA)
+    place = round(low - (low - top) * level / largest)
+    cv2.line(picture, (left, place), (right, place), goal, 1, cv2.LINE_AA)
     points = np.round(np.stack([across, up], axis=1)).astype(np.int32)
     cv2.polylines(picture, [points], False, line, 2, cv2.LINE_AA)
     for x, y in points.tolist():
         cv2.circle(picture, (x, y), 3, line, -1, cv2.LINE_AA)
-    for text, place in (
+    for text, at in (
         (f"{100 * largest:.1f}%", (2, top + 8)),
-        (f"{100 * selection.tolerance:.1f}%", (2, max(level + 4, top + 24))),
+        (f"{100 * level:.1f}%", (2, max(place + 4, top + 24))),
         ("1", (left, height - 8)),
-        (str(N_LANDMARKS), (right - 16, height - 8)),
+        (str(most), (right - 16, height - 8)),
     ):
-        cv2.putText(picture, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)
+        cv2.putText(picture, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.42, ink, 1, cv2.LINE_AA)
     return np.ascontiguousarray(picture[::-1], dtype=np.float32) / 255.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from typing import Any
 
 import cv2
 import numpy as np
@@ -27,13 +28,18 @@ _SHIFT = 4
 
 def thumbnail(rig: HeadRig, vertices: NDArray[np.float32]) -> bytes:
     """Draw a head with vertices (A, 3) from the front, as a PNG file."""
-    picture = np.full((SIDE, SIDE), _BACK, dtype=np.uint8)
-    points, eyes = vertices[rig.landmarks].astype(np.float64), np.asarray(rig.eyeballs, dtype=np.float64)
-    scale = SIDE / (_EXTENT * rig.eye_distance)
-    middle = points.mean(axis=0)[:2]
+    middle = vertices[rig.landmarks].astype(np.float64).mean(axis=0)
+    return bytes(cv2.imencode(".png", draw_head(rig, vertices, middle, SIDE))[1].tobytes())
+
+
+def draw_head(rig: HeadRig, vertices: NDArray[np.floating[Any]], middle: FloatArray, side: int) -> NDArray[np.uint8]:
+    """Draw a head with vertices (A, 3) from the front in grey, (side, side), around a point of its frame."""
+    picture = np.full((side, side), _BACK, dtype=np.uint8)
+    eyes = np.asarray(rig.eyeballs, dtype=np.float64)
+    scale = side / (_EXTENT * rig.eye_distance)
 
     def pixels(places: FloatArray) -> NDArray[np.int32]:
-        return np.asarray(np.rint(((places[..., :2] - middle) * scale + SIDE / 2) * 2**_SHIFT), dtype=np.int32)
+        return np.asarray(np.rint(to_pixels(rig, places, middle, side) * 2**_SHIFT), dtype=np.int32)
 
     for *centre, radius in eyes:
         place = pixels(np.array(centre)).tolist()
@@ -43,13 +49,19 @@ def thumbnail(rig: HeadRig, vertices: NDArray[np.float32]) -> bytes:
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     lengths = np.linalg.norm(normals, axis=1)
     lit = _AMBIENT + (1.0 - _AMBIENT) * np.abs(normals @ _LIGHT) / np.maximum(lengths, 1e-12)
-    inside = np.abs(corners[..., :2].mean(axis=1) - middle).max(axis=1) * scale < SIDE
+    inside = np.abs(corners[..., :2].mean(axis=1) - middle[:2]).max(axis=1) * scale < side
     depths = corners[..., 2].mean(axis=1)
     drawn, shades = pixels(corners), np.rint(_SKIN * lit).astype(np.int64)
     for face in np.argsort(-depths, kind="stable"):
         if inside[face]:
             cv2.fillConvexPoly(picture, drawn[face], (int(shades[face]),), cv2.LINE_AA, _SHIFT)
-    return bytes(cv2.imencode(".png", picture)[1].tobytes())
+    return picture
+
+
+def to_pixels(rig: HeadRig, places: FloatArray, middle: FloatArray, side: int) -> FloatArray:
+    """Return where points (..., 3) of the head frame are in a picture that `draw_head` draws, (..., 2)."""
+    scale = side / (_EXTENT * rig.eye_distance)
+    return np.asarray((places[..., :2] - middle[:2]) * scale + side / 2)
 
 
 def pixels_of(png: bytes) -> NDArray[np.float32] | None:

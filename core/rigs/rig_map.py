@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, LIPS, N_LANDMARKS, NOSE
 from ..numeric.arrays import FloatArray, IntArray
+from .control_names import REGION_OF, role_of
 
 LOCATION, ROTATION, PROPERTY = "location", "rotation", "property"
 """Kinds of channels."""
@@ -26,6 +27,8 @@ _REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0)}
 says little."""
 _SYMMETRIC = 0.25
 """Difference of the effects of both directions, relative to their sum, up to which a channel is one variable."""
+_NAMED = 0.5
+"""Motion of the region of a control's name, relative to the largest of any, above which the control belongs there."""
 _EFFECT = 0.02
 """Motion of the face below which a direction of a channel does nothing, in eye distances."""
 
@@ -140,7 +143,7 @@ class RigMap:
             best = found.setdefault(self.channels[channel].control, dict.fromkeys(REGIONS, 0.0))
             for name in REGIONS:
                 best[name] = max(best[name], float(moved[name][k]))
-        return {control: max(best, key=lambda name: best[name]) for control, best in found.items()}
+        return {control: _region(control, best) for control, best in found.items()}
 
     def values(self, variables: FloatArray) -> FloatArray:
         """Convert variables (..., K) to changes of the channels from rest, (..., C)."""
@@ -166,6 +169,13 @@ class RigMap:
             upper=self.upper[kept],
             doubt=self.doubt[kept],
         )
+
+
+def _region(control: str, moved: Mapping[str, float]) -> str:
+    """Region that a control moves most, or that of its name if it moves that nearly as much."""
+    most = max(moved, key=lambda name: moved[name])
+    named = REGION_OF.get(role_of(control), most)
+    return named if moved[named] > _NAMED * moved[most] else most
 
 
 def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sample: IntArray, unit: float) -> RigMap:

@@ -185,6 +185,8 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "set_bone": press("set_bone", target=one_of("head", "eye_right", "eye_left")),
     "make_expression_keys": press("make_expression_keys", keys=one_of("vrm", "oculus")),
     "learn_controls": press("learn_controls"),
+    "export_control_sheet": press("export_control_sheet", filepath=new_file(".html")),
+    "rank_controls": press("rank_controls", take=one_of(-1, 0)),
     "mute_others": press("mute_others"),
     "add_corrections": press("add_corrections"),
     "remove_corrections": press("remove_corrections"),

@@ -1,0 +1,16 @@
+"""Functions that properties of the head's rig call.
+
+Blender 4.2 keeps them until Python has ended, and crashes when it quits if they keep `bpy` alive until then, so neither
+this module nor what it imports at its top may import that.
+"""
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .control_properties import FacemimeRig
+
+
+def use_few(group: "FacemimeRig", _: object) -> None:
+    """Use as many controls as the slider says: those that help most."""
+    for item in group.controls:
+        item.use = item.order <= group.few

@@ -1,0 +1,108 @@
+"""Which controls of a rig are used, live and in bakes, what each does, as arrows and on a sheet."""
+
+import bpy
+import numpy as np
+import pytest
+
+from facemime.blender.controls.arrows import drawn_arrows
+from facemime.blender.controls.probing import learn_controls
+from facemime.blender.controls.stored import error_curve, read_controls, write_controls
+from facemime.core.takes.file import save_take
+from facemime.sessions.show import TakeShow
+from facemime.sessions.start import follow_settings, start_session
+from tests.helpers.face_rigs import make_face_rig, state
+from tests.helpers.live_ticks import wait_for
+from tests.helpers.takes import performance
+
+pytestmark = pytest.mark.usefixtures("nothing_left_over")
+
+
+@pytest.fixture
+def rigged():
+    """A head on a made rig, whose controls are known, and which is active."""
+    bpy.context.scene.render.fps = 25
+    head, armature = make_face_rig()
+    bpy.context.view_layer.objects.active = head
+    bpy.context.view_layer.update()
+    write_controls(head, learn_controls(head))
+    return head, armature
+
+
+def show(head):
+    """Preview the performance on the head by its controls."""
+    bpy.context.scene.facemime.drive_by = "CONTROLS"
+    return TakeShow(bpy.context.scene, [head], performance())
+
+
+def test_a_control_that_is_switched_off_stops_at_once_in_a_preview(rigged):
+    head, armature = rigged
+    before, shown = state(armature), show(head)
+    bpy.context.scene.frame_set(40)
+    moved = next(name for name in ("c5", "c8", "c12") if state(armature)[name] != before[name])
+    assert not shown.follow(bpy.context.scene)
+    head.facemime_rig.controls[moved].use = False
+    assert shown.follow(bpy.context.scene)
+    assert state(armature)[moved] == before[moved] and state(armature) != before
+    for item in head.facemime_rig.controls:
+        item.use = False
+    shown.follow(bpy.context.scene)
+    assert {name for name, value in state(armature).items() if value != before[name]} <= {"Skull"}
+    head.facemime_rig.controls[moved].use = True
+    shown.follow(bpy.context.scene)
+    assert state(armature)[moved] != before[moved]
+    shown.close()
+    assert state(armature)[moved] == before[moved]
+
+
+def test_a_control_that_is_switched_off_stops_at_once_while_live(rigged, tmp_path):
+    head, armature = rigged
+    save_take(performance(), tmp_path / "take.facetake")
+    scene = bpy.context.scene
+    scene.facemime.source.kind, scene.facemime.drive_by = "TAKE", "CONTROLS"
+    scene.facemime.source.take, scene.facemime.source.loop = str(tmp_path / "take.facetake"), True
+    before, session = state(armature), start_session(scene, [head])
+    wait_for(lambda: session.step() and state(armature)["c12"] != before["c12"])
+    head.facemime_rig.controls["c12"].use = False
+    follow_settings(session, scene)
+    assert state(armature)["c12"] == before["c12"]
+    wait_for(lambda: session.step() and state(armature)["c5"] != before["c5"])
+    assert state(armature)["c12"] == before["c12"]
+    session.close()
+    assert state(armature)["c5"] == before["c5"]
+
+
+def test_few_controls_are_those_that_help_most(rigged):
+    head = rigged[0]
+    assert bpy.ops.facemime.rank_controls() == {"FINISHED"}
+    group = head.facemime_rig
+    assert all(item.use and item.order for item in group.controls) and group.few == len(group.controls)
+    errors = error_curve(head)
+    assert min(errors) <= 2 and max(errors) == len(group.controls) and errors[max(errors)] < 0.7 * errors[min(errors)]
+    group.few = 4
+    used = {item.name for item in group.controls if item.use}
+    assert 4 <= len(used) <= 5 and "Hinge" in used and set(read_controls(head).controls) == used
+    write_controls(head, learn_controls(head))
+    assert not error_curve(head)
+
+
+def test_arrows_start_at_the_skin_and_follow_the_selected_control(rigged):
+    head = rigged[0]
+    group, graph = head.facemime_rig, bpy.context.evaluated_depsgraph_get()
+    view = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    assert drawn_arrows(head, graph, view, (800, 800), every=False) is None
+    every = drawn_arrows(head, graph, view, (800, 800), every=True)
+    assert 10 < len(every.axes) <= len(group.controls)
+    group.active = [item.name for item in group.controls].index("Hinge")
+    jaw = drawn_arrows(head, graph, view, (800, 800), every=False)
+    assert len(jaw.axes) > 5 and jaw.ends[:, 0, 1].mean() < every.ends[:, 0, 1].mean()
+
+
+def test_the_control_sheet_is_written_and_leaves_the_rig_as_it_was(rigged, tmp_path):
+    head, armature = rigged
+    head.facemime_rig.controls["c4"].use = False
+    before = state(armature)
+    assert bpy.ops.facemime.export_control_sheet(filepath=str(tmp_path / "sheet")) == {"FINISHED"}
+    page = (tmp_path / "sheet.html").read_text(encoding="utf-8")
+    assert state(armature) == before
+    assert "Hinge" in page and "Slider" in page and ">c5<" in page and ">c4<" not in page
+    assert page.count("data:image/jpeg") >= len(read_controls(head).channels)
