@@ -28,7 +28,7 @@ from .live_mesh import LiveMesh, changed
 from .targets import PoseTarget, carried_targets
 
 FlatMeshes = Sequence[NDArray[np.floating[Any]]]
-"""Arrays for `foreach_set`, one for each mesh of a head; or the values of its controls alone."""
+"""Arrays for `foreach_set`, one for each mesh of a head; or what shows the frame by its controls."""
 _DELTAS = ("delta_location", "delta_rotation")
 """Prefixes of the data paths of the channels that pose an object."""
 _TARGET_LABELS = messages({"head": "Pose Object", "eye_left": "Left Eye", "eye_right": "Right Eye"})
@@ -108,7 +108,7 @@ class LiveHeadObject:
 
         def prepared(frame: HeadFrame) -> FlatMeshes:
             if (controls := self._controls) is not None:
-                return [controls.solve(frame)]
+                return controls.solve(frame)
             return [member.local(frame.vertices) for member in members]
 
         return prepared
@@ -205,8 +205,6 @@ class LiveHeadObject:
                     "Head and Eyes, or clear that field, and start again.",
                     label=_TARGET_LABELS[name],
                 )
-        if len(frame.keys) == len(self.keys):  # otherwise it was computed before the way of driving was changed
-            self._write_face(frame, flat)
         rotation = frame.rotation if self.follow.rotation else None
         translation = frame.translation if self.follow.translation else None
         for target in self._carried:
@@ -222,16 +220,20 @@ class LiveHeadObject:
         for side, eye in enumerate(EYE_PARTS):
             if eye in self.targets:
                 self.targets[eye].apply(frame.gaze[side], None)
+        # Last, as controls are corrected by what head and gaze do to the face. If the numbers differ, the frame was
+        # computed before the way of driving was changed.
+        if len(frame.keys) == len(self.keys):
+            self._write_face(frame, flat)
 
     def _write_face(self, frame: HeadFrame, flat: FlatMeshes | None) -> None:
         """Display the face; what was prepared before the way of driving was changed is prepared again."""
         sizes = [3 * len(shown.mesh.vertices) for shown in self._meshes]
         if self._controls is not None:
-            sizes = [len(self._controls.found.channels)]
+            sizes = self._controls.sizes
         if flat is None or [len(each) for each in flat] != sizes:
             flat = self.prepare(frame)
         if self._controls is not None:
-            self._controls.write(flat[0])
+            self._controls.write(*flat)
             return
         for shown, positions in zip(self._meshes, flat, strict=True):
             if not shown.gone:

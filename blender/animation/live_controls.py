@@ -6,7 +6,9 @@ The values before are kept in a custom property of the object that has the contr
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Collection
+from statistics import median
 from typing import Any
 
 import bpy
@@ -19,6 +21,7 @@ from ...core.rigs.rig_map import PROPERTY, RigMap
 from ...core.rigs.solver import RigSolver
 from ..controls.finding import path_of
 from ..controls.setting import ControlValues, holder_of
+from ..controls.view import look_at
 from ..meshes import mesh_of, posed_bones, read_vertices
 from ..names import CONTROLS_PROPERTY
 from ..own_pose import rotation_channel
@@ -26,15 +29,24 @@ from ..own_pose import rotation_channel
 CONTROLS = "CONTROLS"
 
 
+_PATIENCE = 0.01
+"""Seconds that an evaluation of the rig may take for the correction of each frame."""
+_FIRST = 5
+"""Evaluations whose median decides."""
+
+
 class LiveControls:
-    """Controls of a head that display a performance, without corrections by evaluating the rig.
+    """Controls of a head that display a performance, corrected once by evaluating the rig if that is fast.
 
     Raises HeadError if a control is missing.
     """
 
     def __init__(self, head: bpy.types.Object, found: RigMap) -> None:
         self.found = found
-        self._solver = RigSolver(found)
+        self._head = head.name
+        self._solver, self._correcting = RigSolver(found), RigSolver(found)
+        self._corrects, self._seconds = True, list[float]()
+        self._zero: FloatArray | None = None
         self._rest = read_vertices(mesh_of(head))[found.sample].astype(np.float64)
         self._values = ControlValues(found.channels)
 
@@ -53,9 +65,18 @@ class LiveControls:
                 paths.append(path_of(channel, mode))
         return list(dict.fromkeys(paths))
 
-    def solve(self, frame: HeadFrame) -> NDArray[np.float64]:
-        """Return the changes of the channels from rest that show a frame, (C,); may be called in a thread."""
-        return self._solver.solve(frame.vertices[self.found.sample] - self._rest)
+    @property
+    def sizes(self) -> list[int]:
+        """Lengths of the arrays that `solve` returns."""
+        return [len(self.found.channel), 3 * len(self.found.sample)]
+
+    def solve(self, frame: HeadFrame) -> list[NDArray[np.float64]]:
+        """Return the variables of the map that show a frame, (K,), and the motion that is wanted, (3 S,).
+
+        May be called in a thread.
+        """
+        wanted = frame.vertices[self.found.sample] - self._rest
+        return [self._solver.variables(wanted), wanted.ravel()]
 
     def attach(self) -> None:
         """Remember the values of the controls."""
@@ -64,9 +85,28 @@ class LiveControls:
             if CONTROLS_PROPERTY not in owner:
                 owner[CONTROLS_PROPERTY] = json.dumps(self._values.own_of(owner.name))
 
-    def write(self, values: FloatArray) -> None:
-        """Set the controls, (C,); raises HeadError if one was deleted."""
-        self._values.write(values)
+    def write(self, variables: FloatArray, wanted: FloatArray) -> None:
+        """Set the controls to what `solve` has returned; raises HeadError if one was deleted."""
+        if self._corrects and self._zero is None:
+            self._zero = self._look(np.zeros(len(variables)))
+        moved = self._look(variables)
+        if moved is not None and self._zero is not None:
+            corrected = self._correcting.again(wanted.reshape(-1, 3), variables, moved - self._zero)
+            self._values.write(self.found.values(corrected))
+
+    def _look(self, variables: FloatArray) -> FloatArray | None:
+        """Set the controls, and evaluate the rig: sampled vertices (S, 3), or None if there is to be no correction."""
+        self._values.write(self.found.values(variables))
+        head = bpy.data.objects.get(self._head)
+        if not self._corrects or head is None or bpy.app.is_job_running("RENDER"):
+            return None
+        start = time.perf_counter()
+        points = look_at(head, self.found.sample)
+        if len(self._seconds) < _FIRST:
+            self._seconds.append(time.perf_counter() - start)
+            slow = len(self._seconds) == _FIRST and median(self._seconds) > _PATIENCE
+            self._corrects = not slow and points is not None
+        return points
 
     def detach(self, *, keep: bool) -> None:
         """Restore the values, or leave them as they are if `keep`."""

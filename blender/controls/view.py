@@ -109,6 +109,19 @@ class FaceView:
         )
 
 
+def look_at(head: bpy.types.Object, sample: IntArray) -> FloatArray | None:
+    """Evaluate the rig, and return sampled vertices of a head, (S, 3), as `FaceView` does, but with all its modifiers.
+
+    None if these change the number of vertices.
+    """
+    bpy.context.view_layer.update()
+    graph = bpy.context.evaluated_depsgraph_get()
+    points = _points(head, graph)
+    if len(points) != len(mesh_of(head).vertices):
+        return None
+    return from_blender(_placed(np.array(_pose_of_head(head, graph).inverted_safe()), points[sample]))
+
+
 def _points(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> NDArray[np.float64]:
     """Return the evaluated vertices of a mesh, (V, 3), in Blender's axes."""
     mesh = obj.evaluated_get(graph).data

@@ -97,6 +97,16 @@ class RigSolver:
         self._last = found
         return self.map.values(found), shown
 
+    def again(self, target: FloatArray, variables: FloatArray, moved: FloatArray) -> FloatArray:
+        """Return variables (K,) corrected by how the rig itself moves the sampled vertices, (S, 3), at others.
+
+        If the rig moves more than the model says, the correction is as much smaller, so that it does not overshoot.
+        """
+        foreseen, seen = multiply(self._rows.T, variables), self._features(moved)
+        self._last = self._bounded(multiply(self._rows, self._features(target) + foreseen - seen), variables)
+        gain = float(foreseen @ seen) / max(float(foreseen @ foreseen), 1e-30)
+        return np.asarray(variables + (self._last - variables) / max(gain, 1.0))
+
     def _bounded(self, products: FloatArray, start: FloatArray | None = None) -> FloatArray:
         """Solve within the bounds, (K,), one direction of each channel at a time."""
         products = products + self._steady * self._last

@@ -103,6 +103,18 @@ def test_corrections_reach_what_the_linear_map_misses():
     assert np.linalg.norm(shown - wanted) < 0.4 * np.linalg.norm(first - wanted)
 
 
+@pytest.mark.parametrize("gain", [0.6, 1.0, 2.5])
+def test_one_correction_brings_a_rig_nearer_that_moves_less_or_more_than_the_model_says(gain):
+    found = mapped(*(bone(str(number), number) for number in range(4)))
+    wanted = gain * np.einsum("k,ksc->sc", np.array([0.2, -0.1, 0.2, 0.15]), found.effects)
+    solver = RigSolver(found)
+    first = solver.variables(wanted)
+    off = []
+    for x in (first, solver.again(wanted, first, gain * np.einsum("k,ksc->sc", first, found.effects))):
+        off.append(np.linalg.norm(gain * np.einsum("k,ksc->sc", x, found.effects) - wanted))
+    assert off[1] < max(0.5 * off[0], 0.05 * np.linalg.norm(wanted))
+
+
 def test_corrections_never_lead_away_from_a_face_that_the_model_does_not_foresee():
     found = mapped(*(bone(str(number), number) for number in range(4)))
 
