@@ -42,6 +42,34 @@ def test_the_zip_installs_puppets_a_head_and_uninstalls_cleanly(version):
     assert measured["received"] == 3
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize("version", ["4.2", "4.5", "5.0", "5.2"])
+@pytest.mark.skipif(sys.platform != "linux", reason="the environments are Linux ones")
+def test_blender_installs_from_the_index_and_updates_an_earlier_version(version, tmp_path):
+    python, zipped = blender_python(version), archive("5.1" if version == "5.2" else "4.2", "linux_x64")
+    write_earlier(zipped, tmp_path / zipped.name)
+    tool = next(
+        (python.parents[1] / "lib").glob("python3*/site-packages/bpy/*/scripts/addons_core/bl_pkg/cli/blender_ext.py")
+    )
+    subprocess.run([str(python), str(tool), "server-generate", "--repo-dir", str(tmp_path)], check=True)
+    command = [str(python), str(ROOT / "tests" / "blender" / "index_run.py"), str(tmp_path), str(ROOT / "dist")]
+    environment = {k: v for k, v in os.environ.items() if not k.startswith(("PYTHON", "VIRTUAL_ENV"))}
+    done = subprocess.run(command, capture_output=True, text=True, timeout=500, env=environment, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
+    measured = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
+    assert measured == {"versions": ["0.0.1", zipped.name.split("-")[1]], "kept": True}
+
+
+def write_earlier(zipped: Path, path: Path) -> None:
+    """Write a zip of an earlier version."""
+    with zipfile.ZipFile(zipped) as new, zipfile.ZipFile(path, "w") as old:
+        for name in new.namelist():
+            data = new.read(name)
+            if name == "blender_manifest.toml":
+                data = re.sub(rb'^version = ".*"', b'version = "0.0.1"', data, flags=re.MULTILINE)
+            old.writestr(name, data)
+
+
 @pytest.mark.parametrize("platform", ["linux_x64", "windows_x64", "macos_arm64", "macos_x64"])
 @pytest.mark.parametrize(("blender", "python"), [("4.2", "cp311"), ("5.1", "cp313")])
 def test_each_zip_contains_its_wheels_and_the_assets_but_no_development_files(blender, python, platform):
