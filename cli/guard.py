@@ -127,7 +127,7 @@ def _status_of(command: Sequence[str], mark: Path) -> int:
         try:
             return process.wait()
         except KeyboardInterrupt:
-            with contextlib.suppress(OSError):
+            with contextlib.suppress(OSError, ValueError):  # Windows itself sends Ctrl-C to the child
                 process.send_signal(signal.SIGTERM if STOPPING.status == 128 + signal.SIGTERM else signal.SIGINT)
             try:
                 with STOPPING.noting():

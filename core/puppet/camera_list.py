@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic
 
+from ..files.capture import is_address
 from . import windows_cameras
 
 DIRECTSHOW = "dshow"
@@ -44,12 +46,12 @@ def number_and_name(text: str) -> tuple[str, str]:
 
 
 def parse_device(text: str, cameras: Sequence[CameraName]) -> str:
-    """Parse the device that a user chose or typed: a number, an address, or a `CameraName` as text.
+    """Parse the device that a user chose or typed: a number, a name, a `CameraName` as text, a path or an address.
 
     A named camera is found by its name if its number has changed.
     """
     number, name = number_and_name(text)
-    return next((camera.device for camera in cameras if name and camera.name == name), number)
+    return next((camera.device for camera in cameras if camera.name in (name, number)), number)
 
 
 def ways_to_open(text: str) -> list[str]:
@@ -58,11 +60,11 @@ def ways_to_open(text: str) -> list[str]:
     A name needs the list of cameras, which may take a second.
     """
     number, name = number_and_name(text)
-    if not is_numbered(number) or (sys.platform != "win32" and not name):
+    if is_address(number) or os.path.exists(number) or (is_numbered(number) and not name and sys.platform != "win32"):
         return [number]
     cameras = list_cameras()
     device = parse_device(text, cameras)
-    return [device, *_in_directshow(device, cameras)] if sys.platform == "win32" else [device]
+    return [device, *_in_directshow(device, cameras)] if sys.platform == "win32" and is_numbered(device) else [device]
 
 
 def _in_directshow(device: str, cameras: Sequence[CameraName]) -> list[str]:

@@ -38,6 +38,23 @@ def test_a_child_that_dies_without_a_word_is_an_error_that_names_the_file(child,
         child(f"import os; {code}", orderly=False)
 
 
+def test_a_child_that_the_system_interrupts_itself_is_awaited(child, monkeypatch):
+    wait, heard = subprocess.Popen.wait, []
+
+    def interrupted(self, timeout=None):
+        if not heard:
+            heard.append(True)
+            raise KeyboardInterrupt
+        return wait(self, timeout)
+
+    def refuse(self, number):
+        raise ValueError("Unsupported signal: 2")  # as on Windows
+
+    monkeypatch.setattr(subprocess.Popen, "wait", interrupted)
+    monkeypatch.setattr(subprocess.Popen, "send_signal", refuse)
+    assert child("sys.exit(130)") == 130 and heard
+
+
 @needs_posix
 def test_a_child_that_takes_too_long_says_so(child):
     with pytest.raises(SourceError, match="it took too long"):

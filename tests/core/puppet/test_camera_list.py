@@ -35,6 +35,7 @@ def test_a_camera_is_found_by_name_if_its_number_changed():
     cameras = [CameraName("0", "Built-in"), CameraName("4", "Desk: HD")]
     assert parse_device("2: Desk: HD", cameras) == "4"
     assert parse_device("1: Gone", cameras) == "1"
+    assert parse_device("Built-in", cameras) == "0" and parse_device("Desk: HD", cameras) == "4"
     assert parse_device(" 3 ", cameras) == "3"
     assert parse_device("http://phone:8080/video", cameras) == "http://phone:8080/video"
 
@@ -48,7 +49,7 @@ def test_cameras_of_macos_are_numbered_as_opencv_does_by_their_identifiers(monke
     monkeypatch.setattr(camera_list.sys, "platform", "darwin")
     monkeypatch.setattr(subprocess, "run", lambda *_, **__: SimpleNamespace(stdout=said))
     assert list(map(str, list_cameras())) == ["0: Desk", "1: FaceTime HD Camera"]
-    assert ways_to_open("0: FaceTime HD Camera") == ["1"]
+    assert ways_to_open("0: FaceTime HD Camera") == ways_to_open("FaceTime HD Camera") == ["1"]
 
 
 @pytest.mark.parametrize("said", [b"", b"[]", b'{"SPCameraDataType": [{"_name": "A"}]}', b'{"SPCameraDataType": 1}'])
@@ -78,7 +79,7 @@ def test_a_camera_that_does_not_open_on_windows_is_opened_through_directshow(on_
 def test_other_systems_open_a_number_in_one_way_without_a_list(monkeypatch):
     monkeypatch.setattr(camera_list.sys, "platform", "darwin")
     monkeypatch.setattr(camera_list, "list_cameras", lambda: pytest.fail("it takes a second"))
-    assert ways_to_open("3") == ["3"] and ways_to_open("/a/b.mp4") == ["/a/b.mp4"]
+    assert ways_to_open("3") == ["3"] and ways_to_open(__file__) == [__file__]
 
 
 def test_a_list_is_made_in_the_background_and_kept_for_a_moment(monkeypatch):
