@@ -33,7 +33,9 @@ LOOK = 0.1
 def add_source(parser: argparse.ArgumentParser, *, takes_as_recorded: bool = False) -> None:
     """Add the options of a performance that is tracked live; takes may be left unsmoothed unless an option smooths."""
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--camera", metavar="N|NAME", help="a camera, by number or name; on Windows, dshow0 is the first of DirectShow")
+    source.add_argument(
+        "--camera", metavar="N|NAME", help="a camera, by number or name; on Windows, dshow0 is the first of DirectShow"
+    )
     source.add_argument("--video", type=Path, metavar="VIDEO|TAKE", help="a video or a take, played in real time")
     parser.add_argument("--loop", action="store_true", help="start the video again at its end")
     usual = f"{PuppetSettings.smoothing:g}"
