@@ -101,7 +101,7 @@ def _draw_drivers(layout: bpy.types.UILayout, context: bpy.types.Context, chosen
 def _draw_camera(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     chosen = preferences()
     draw_camera(layout, chosen)
-    _CAMERAS.refresh()
+    _CAMERAS.prepare()
     if sys.platform == "darwin":
         labels(
             layout,

@@ -20,7 +20,7 @@ DIRECTSHOW = "dshow"
 """What precedes the number of a camera in DirectShow, the older interface of Windows."""
 _NUMBER = re.compile(rf"(?:{DIRECTSHOW})?\d+")
 _FRESH = 5.0
-"""Seconds for which a list of cameras is shown before they are listed again."""
+"""Seconds for which a list of cameras counts as new."""
 
 
 @dataclass(frozen=True)
@@ -142,18 +142,23 @@ class CameraList:
         self._made = float("-inf")
         self._maker: threading.Thread | None = None
 
-    def refresh(self) -> None:
-        """Begin to list the cameras, unless that was done a moment ago, or is being done."""
-        if (self._maker is None or not self._maker.is_alive()) and monotonic() - self._made > _FRESH:
-            self._maker = threading.Thread(target=self._make, name="facemime-cameras", daemon=True)
-            self._maker.start()
+    def prepare(self) -> None:
+        """Begin to list the cameras, unless they have been listed."""
+        if self._maker is None:
+            self._refresh()
 
     def cameras(self, patience: float) -> list[CameraName]:
-        """Return the newest list; wait for one for at most `patience` seconds if there is none yet."""
-        self.refresh()
-        if self._maker is not None and not self._cameras:
+        """Return the cameras; if listing them takes more than `patience` seconds, as they were before."""
+        if monotonic() - self._made > _FRESH:
+            self._refresh()
+        if self._maker is not None:
             self._maker.join(patience)
         return self._cameras
+
+    def _refresh(self) -> None:
+        if self._maker is None or not self._maker.is_alive():
+            self._maker = threading.Thread(target=self._make, name="facemime-cameras", daemon=True)
+            self._maker.start()
 
     def _make(self) -> None:
         self._cameras, self._made = list_cameras(), monotonic()

@@ -2,9 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
+import re
+from pathlib import Path
 
+import pytest
+import yaml
+
+import facemime
 from tools import release
+
+ROOT = Path(facemime.__file__).parent
 
 CHANGELOG = "# Changelog\n\n## Unreleased\n\n- more\n\n## 1.0.0\n\n### Added\n\n- all\n\n## 0.1.0\n\n- first\n"
 MANIFEST = {"version": "1.0.0", "maintainer": "Ada <ada@facemime.org>", "website": "https://facemime.org"}
@@ -56,3 +63,33 @@ def test_the_holders_of_every_library_in_the_zip_are_named():
     libraries = {wheel.removeprefix("./wheels/").split("-")[0] for wheel in manifest["wheels"]}
     assert libraries == holders.keys()
     assert all(holder in named for holder in [*holders.values(), "three.js", "ICT-FaceKit", "FaceGen"])
+
+
+def workflow(name: str) -> dict:
+    return yaml.safe_load((ROOT / ".github" / "workflows" / f"{name}.yml").read_text())
+
+
+def commands(name: str) -> str:
+    return "\n".join(step.get("run", "") for job in workflow(name)["jobs"].values() for step in job["steps"])
+
+
+def test_each_push_is_tested_on_every_system():
+    told = workflow("platforms")
+    systems = told["jobs"]["test"]["strategy"]["matrix"]["system"]
+    assert {system.split("-")[0] for system in systems} == {"ubuntu", "windows", "macos"}
+    assert told[True] == {"pull_request": None, "push": None}, "on all branches; YAML reads `on` as true"
+    assert "tests/core" in commands("platforms") and "tests/blender" in commands("platforms")
+
+
+@pytest.mark.parametrize("name", ["ci", "platforms", "release", "weekly"])
+def test_workflows_run_only_what_there_is(name):
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    for line in re.findall(r"\bmake ([^\n]*)", commands(name)):
+        assert {word for word in line.split() if "=" not in word} <= targets
+    for path in re.findall(r"\b(?:tools|tests|\.ci)/[\w./-]+", commands(name)):
+        assert (ROOT / path).exists(), path
+
+
+def test_a_release_publishes_all_that_was_built():
+    published = commands("release")
+    assert all(file in published for file in ("dist/*.zip", "dist/*.whl", "dist/index.json", "docs"))

@@ -91,9 +91,12 @@ def test_a_list_is_made_in_the_background_and_kept_for_a_moment(monkeypatch):
 
     monkeypatch.setattr(camera_list, "list_cameras", listed)
     cameras = CameraList()
-    cameras.refresh()
+    for _ in range(3):
+        cameras.prepare()
     assert cameras.cameras(PATIENCE) == made and cameras.cameras(0.0) == made
     assert len(makers) == 1 and makers[0] is not threading.current_thread()
+    monkeypatch.setattr(camera_list, "_FRESH", -1.0)
+    assert cameras.cameras(PATIENCE) == made and len(makers) == 2
 
 
 @needs_windows
