@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 from ..core.errors import SourceError
 from .stopping import LEASH, STOPPING
@@ -105,20 +105,31 @@ def _data_size() -> int | None:
     return None
 
 
+class Leashed(subprocess.Popen[str]):
+    """A process that ends, in an orderly way, when the other end of its standard input is closed."""
+
+    leash: IO[bytes]
+
+    def terminate(self) -> None:
+        """Let the process end; Windows has no signal for that, and would kill it."""
+        if sys.platform == "win32":
+            self.leash.close()
+        else:
+            super().terminate()
+
+
 @contextlib.contextmanager
-def leashed(command: Sequence[str], **options: Any) -> Iterator[subprocess.Popen[str]]:
+def leashed(command: Sequence[str], **options: Any) -> Iterator[Leashed]:
     """Run a command in a process that ends when this one does, even by a crash, as its standard input then ends.
 
     The options are those of `Popen`.
     """
     end, held = os.pipe()  # not inherited by other processes, so that nothing else keeps it open
-    try:
+    with open(end, "rb") as source, open(held, "wb") as leash:
         environment = {**os.environ, LEASH: "1", **options.pop("env", {})}
-        with subprocess.Popen(command, stdin=end, text=True, env=environment, **options) as process:
+        with Leashed(command, stdin=source, text=True, env=environment, **options) as process:
+            process.leash = leash
             yield process
-    finally:
-        os.close(end)
-        os.close(held)
 
 
 def _status_of(command: Sequence[str], mark: Path) -> int:

@@ -1,5 +1,7 @@
 """Sources and calibrations of a live session: where they are stored, and their errors."""
 
+import os
+
 import bpy
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.operators.puppet import FACEMIME_OT_puppet, running
 from facemime.settings.performers import calibration_of, forget, read_calibration
 from facemime.settings.preferences import preferences
+from facemime.ui.status import status_lines, summary
 from tests.helpers.live_ticks import start, tick, ticks_until, wait_for
 from tests.helpers.owners import UNDER_WINE
 
@@ -76,6 +79,19 @@ def test_a_missing_source_is_reported_and_leaves_the_head_unchanged(tmp_path, pr
         assert tick() == {"CANCELLED"}
     assert message in reports[0]
     assert running() is None and head.data.shape_keys is None
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes as POSIX has them")
+def test_while_a_camera_is_opened_the_panel_says_so(tmp_path, preferred):
+    """A pipe that nobody writes to stands for a camera that takes long to open."""
+    os.mkfifo(tmp_path / "camera")
+    add_head(bpy.context)
+    bpy.context.scene.facemime.source.kind = "CAMERA"
+    preferred.camera = str(tmp_path / "camera")
+    assert bpy.ops.facemime.puppet() == {"RUNNING_MODAL"}
+    assert summary(running())[0].startswith("Opening the camera ...")
+    assert status_lines(running())[-1][0].startswith("Opening the camera ...")
+    bpy.ops.facemime.stop_puppet()
 
 
 def test_buttons_are_enabled_only_when_they_can_run(looping):

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 
 import pytest
 
@@ -36,6 +37,28 @@ def test_a_child_that_dies_without_a_word_is_an_error_that_names_the_file(child,
         SourceError, match=rf"{FILE} cannot be read: Blender crashed or ran out of memory\. .*export it"
     ):
         child(f"import os; {code}", orderly=False)
+
+
+def test_a_leashed_process_that_is_terminated_ends_in_an_orderly_way(tmp_path):
+    script = f"""
+import time
+from pathlib import Path
+from facemime.cli.stopping import STOPPING, follow_stdin
+STOPPING.install()
+follow_stdin()
+STOPPING.run()
+try:
+    Path({str(tmp_path / "started")!r}).touch()
+    while True:
+        time.sleep(0.01)
+except KeyboardInterrupt:
+    Path({str(tmp_path / "ended")!r}).touch()
+"""
+    with guard.leashed([sys.executable, "-c", script]) as process:
+        while not (tmp_path / "started").exists():
+            time.sleep(0.01)
+        process.terminate()
+    assert (tmp_path / "ended").exists()
 
 
 def test_a_child_that_the_system_interrupts_itself_is_awaited(child, monkeypatch):
