@@ -8,6 +8,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
+from ..blender.controls.face_rig import add_face_rig
 from ..blender.controls.probing import Learning
 from ..blender.controls.sheet import ControlSheet
 from ..blender.controls.stored import rig_group, stored_map, write_controls, write_order
@@ -43,13 +44,38 @@ class FACEMIME_OT_learn_controls(WorksInSteps, OnHead, bpy.types.Operator):
             session.close()
         head = required_subject(context)
         ensure_bones(head)
-        with closing(Learning(head)) as learning:
-            for _step in learning.steps():
-                yield learning.done / max(learning.total, 1)
-            found = learning.result()
-        write_controls(head, found)
-        share = round(100.0 * rig_group(head).shown)
-        report(self, "{count} controls found; they can show {share} %", count=len(found.controls), share=share)
+        yield from learnt(self, head)
+
+
+class FACEMIME_OT_add_face_rig(WorksInSteps, OnHead, bpy.types.Operator):
+    """Give a head without a rig the face of Rigify, which must be enabled, and learn its controls"""
+
+    bl_idname = "facemime.add_face_rig"
+    bl_label = "Add Face Rig"
+    needs = (require_object_mode, require_mesh)
+
+    def status(self) -> str:
+        return _("Facemime: adding a face rig; Esc to cancel")
+
+    def steps(self, context: bpy.types.Context) -> Generator[float, None, None]:
+        """Add the rig at once, and learn control after control."""
+        if (session := Session.running()) is not None:
+            session.close()
+        head = required_subject(context)
+        add_face_rig(head)
+        yield 0.0
+        yield from learnt(self, head)
+
+
+def learnt(operator: bpy.types.Operator, head: bpy.types.Object) -> Generator[float, None, None]:
+    """Learn the controls of a head; in any case, each gets back the value that it had."""
+    with closing(Learning(head)) as learning:
+        for _step in learning.steps():
+            yield learning.done / max(learning.total, 1)
+        found = learning.result()
+    write_controls(head, found)
+    share = round(100.0 * rig_group(head).shown)
+    report(operator, "{count} controls found; they can show {share} %", count=len(found.controls), share=share)
 
 
 class FACEMIME_OT_rank_controls(WorksInSteps, OnHead, bpy.types.Operator):

@@ -9,6 +9,7 @@ import bpy.utils.previews
 import numpy as np
 
 from ..blender.controls.stored import error_curve, has_controls, rig_group
+from ..blender.heads.family import armature_of
 from ..blender.messages import CONTEXT
 from ..blender.messages import interface as _
 from ..core.control_points.table import draw_errors
@@ -62,6 +63,8 @@ class FACEMIME_PT_controls(OnHead, bpy.types.Panel):
         layout.operator("facemime.learn_controls", text="Learn Again" if known else "Learn Controls", icon="POSE_HLT")
         if not known:
             labels(layout, context, "Bones and sliders of the character's own rig, which a take can be baked to")
+            if armature_of(head) is None:
+                layout.operator("facemime.add_face_rig", icon="ARMATURE_DATA")
             return
         group = rig_group(head)
         text = _("{count} controls found; they can show {share} %")

@@ -64,6 +64,7 @@ _MANUAL = (
     ("bpy.ops.facemime.add_head*", f"{_WEBCAM}#add-a-head"),
     ("bpy.ops.facemime.*control_point*", "accuracy/deformation.html#control-points-from-a-take"),
     ("bpy.ops.facemime.*_controls*", f"{_OWN_HEAD}#the-controls-of-a-rig"),
+    ("bpy.ops.facemime.add_face_rig*", f"{_OWN_HEAD}#a-rig-for-a-head-without-one"),
     ("bpy.ops.facemime.export_control_sheet*", f"{_OWN_HEAD}#the-controls-of-a-rig"),
     ("bpy.types.facemimerig*", f"{_OWN_HEAD}#the-controls-of-a-rig"),
     ("bpy.types.facemimecontrol*", f"{_OWN_HEAD}#the-controls-of-a-rig"),

@@ -49,6 +49,7 @@ _ENTRIES: tuple[tuple[tuple[str, Icon], ...], ...] = (
         ("facemime.open_lips", "SCULPTMODE_HLT"),
         ("facemime.open_eyes", "HIDE_OFF"),
         ("facemime.make_expression_keys", "SHAPEKEY_DATA"),
+        ("facemime.add_face_rig", "ARMATURE_DATA"),
         ("facemime.learn_controls", "POSE_HLT"),
         ("facemime.export_control_sheet", "EXPORT"),
     ),

@@ -186,6 +186,7 @@ OURS: dict[str, Callable[[Stage], None]] = {
     "make_expression_keys": press("make_expression_keys", keys=one_of("vrm", "oculus")),
     "learn_controls": press("learn_controls"),
     "export_control_sheet": press("export_control_sheet", filepath=new_file(".html")),
+    "add_face_rig": press("add_face_rig"),
     "rank_controls": press("rank_controls", take=one_of(-1, 0)),
     "mute_others": press("mute_others"),
     "add_corrections": press("add_corrections"),
