@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-rigs bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
+.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-actions bench-learning bench-correct bench-rigs bench-batch bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
 
 setup: $(STAMP)
 
@@ -187,6 +187,11 @@ bench-rigs: setup
 	$(BIN)/python -m lab.bench.rigs ../shared/data/rigs/*.blend --takes build/bench/d10.facetake build/bench/sample.facetake --json build/bench/rigs.json
 	$(BIN)/python -m lab.bench.few_controls ../shared/data/rigs/rigify.blend --shown build/bench/d10.facetake build/bench/sample.facetake --json build/bench/few_controls.json
 	$(BIN)/python -m lab.bench.few_controls ../shared/data/rigs/rigify.blend --chosen build/bench/sample.facetake --shown build/bench/d10.facetake --json build/bench/few_controls_of_a_take.json
+
+# The report of ten thousand clips. Two minutes.
+bench-batch: setup
+	mkdir -p build/bench
+	$(BIN)/python -m lab.bench.batch --json build/bench/batch.json
 
 # The sample clip and rendered performances of held-out people; needs ../shared/data. Ten minutes.
 bench-coefficients: setup

@@ -1,24 +1,26 @@
-"""The commands `batch` for many clips, and `clip` for one of them, which `batch` runs in processes."""
+"""The commands `batch` for many clips, and `clip` for some of them, which `batch` runs in processes."""
 
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import time
+import traceback
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from ..core.errors import FacemimeError, SourceError
-from ..core.files.capture import VideoSource
+from ..core.files.capture import VideoSource, read_image
 from ..core.files.locks import lock_of, sweep
 from ..core.files.writing import check_writable, locked
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..core.tracking.overlay import draw_frame
-from .clips import Clip, Namer, find_clips, read_record, worst_frames, write_record
-from .console import Progress, printable, tell
+from .clips import CHECKSUMS, Checksums, Clip, Namer, find_clips, read_record, worst_frames, write_record
+from .console import Progress, printable, say, tell
 from .options import (
     Commands,
     add_command,
@@ -27,11 +29,12 @@ from .options import (
     add_puppet_options,
     as_options,
     puppet_job,
+    share_of_clips,
     whole_number,
 )
 from .puppet import run_puppet
-from .report import Entry, jpeg_of, write_report
-from .runners import DaskRunner, LocalRunner, Outcome, Runner
+from .report import Entry, Report, jpeg_of, sheet_for_report
+from .runners import DaskRunner, LocalRunner, Runner
 from .stopping import INTERRUPTED
 
 _SOURCES = "videos, folders, or text files with one path per line"
@@ -42,15 +45,26 @@ _MAX_STATUS = 99
 
 def add_commands(commands: Commands) -> None:
     """Add the commands to the parser."""
-    clip = add_command(commands, "clip", "process one clip of a batch, unless it is done; used by batch")
-    clip.add_argument("source", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
-    clip.add_argument(
-        "--number", type=whole_number, metavar="N", help="number of the clip in the folder or the list, from 1"
+    clip = add_command(
+        commands,
+        "clip",
+        "process clips of a batch one after the other, unless they are done, and print a line of JSON for each; used "
+        "by batch and render farms",
+    )
+    clip.add_argument("sources", nargs="+", type=Path, metavar="VIDEO|FOLDER|LIST", help=_SOURCES)
+    which = clip.add_mutually_exclusive_group()
+    which.add_argument("--number", type=whole_number, metavar="N", help="only this clip of a folder or list, from 1")
+    which.add_argument(
+        "--share", type=share_of_clips, metavar="N/M", help="only the N-th of M shares of the clips, such as 3/20"
     )
     add_output(clip, "DIR", _OUTPUT)
     add_preset_option(clip)
     add_puppet_options(clip)
-    clip.set_defaults(run=lambda given: _run_clip(puppet_job(given), given["number"]))
+    clip.set_defaults(
+        run=lambda given: _run_clips(
+            puppet_job(given, source=given["sources"][0]), _chosen(given["sources"], given["number"], given["share"])
+        )
+    )
 
     batch = add_command(
         commands,
@@ -77,15 +91,35 @@ def add_commands(commands: Commands) -> None:
     )
 
 
-def _run_clip(job: PuppetJob, number: int | None) -> int:
-    """Run `facemime clip`: a clip to a head, a take, a sheet and a record; concurrent runs process it once.
+def _run_clips(job: PuppetJob, clips: Sequence[Path]) -> int:
+    """Run `facemime clip`: each clip to a head, a take, a sheet and a record; concurrent runs process it once.
 
-    The source of the job is a clip, a folder or a list, in which the clip has a number from 1; its output is the output
-    folder.
+    The output of the job is the output folder. Returns the exit status: that of a single clip, or the number of
+    failures, at most 99.
     """
     folder = job.output
-    clip = Namer(job).clip(_chosen(find_clips([job.source]), number))
-    check_writable(clip.output(folder, ".json"))
+    check_writable(folder / CHECKSUMS)
+    namer = Namer(job, Checksums(folder))
+    failures = 0
+    for path in clips:
+        try:
+            status, said = _run_clip(job, namer.clip(path)), ""
+        except FacemimeError as error:
+            status, said = 1, str(error)
+            tell(f"facemime: {said}")
+        except Exception:  # of one clip, which must not end the others
+            status, said = 1, traceback.format_exc(limit=-1).strip()
+            traceback.print_exc()
+        if status == INTERRUPTED:
+            return status
+        say(json.dumps({"clip": os.fspath(path), "status": status, "said": said}))
+        failures += status != 0
+    return min(failures, _MAX_STATUS)
+
+
+def _run_clip(job: PuppetJob, clip: Clip) -> int:
+    """Process a clip, unless it is done; returns the exit status."""
+    folder = job.output
     with locked(lock_of(clip.output(folder, ".json"))):
         sweep(folder)
         if read_record(clip, folder) is not None:
@@ -96,7 +130,9 @@ def _run_clip(job: PuppetJob, number: int | None) -> int:
         if status := run_puppet(replace(job, source=clip.path.absolute(), output=output, take=take, sheet=sheet)):
             return status
         tracked = load_take(take)
-        write_record(clip, folder, tracked, time.monotonic() - started, _thumbnails(clip.path, tracked))
+        pictures = {str(number): picture for number, picture in enumerate(_thumbnails(clip.path, tracked), start=1)}
+        pictures["sheet"] = sheet_for_report(read_image(sheet))
+        write_record(clip, folder, tracked, time.monotonic() - started, pictures)
     return 0
 
 
@@ -119,69 +155,73 @@ def _run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | N
     folder.mkdir(parents=True, exist_ok=True)
     sweep(folder)
     runner: Runner = LocalRunner(jobs) if dask is None else DaskRunner(dask)
-    named, failures = _named(clips, Namer(job))
-    before = {name for name, clip in named.items() if read_record(clip, folder) is not None}
-    todo = [clip for name, clip in named.items() if name not in before]
-    lines = [["clip", str(clip.path.absolute()), "-o", str(folder.absolute()), *as_options(job)] for clip in todo]
-    ended, interrupted = _run(runner, lines, len(named))
-    messages = {todo[outcome.index].name: outcome.said or f"ended with status {outcome.status}" for outcome in ended}
-    entries = failures + [_entry(clip, folder, clip.name in before, messages.get(clip.name)) for clip in named.values()]
+    named, entries = _named(clips, Namer(job, Checksums(folder)))
+    unread = len(entries)
+    entries += [_entry(clip, folder, before=True) for clip in named]
+    todo = [number for number, entry in enumerate(entries) if entry.status == "not reached"]
+    report = Report(entries, folder)
+    progress = Progress("Puppeting", len(named), unit="clips")
+    progress.update(before := len(named) - len(todo))
+    interrupted, paths = False, [str(named[number - unread].path.absolute()) for number in todo]
+    try:
+        for ended, outcome in enumerate(runner.run(paths, ["-o", str(folder.absolute()), *as_options(job)]), start=1):
+            number = todo[outcome.index]
+            said = outcome.said or f"ended with status {outcome.status}"
+            entries[number] = _entry(named[number - unread], folder, said=said)
+            report.ended(number, entries[number])
+            progress.update(before + ended)
+    except KeyboardInterrupt:
+        interrupted = True
+    finally:
+        runner.close()
+        progress.finish()
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
         last = (entry.said.splitlines() or ["no reason was given"])[-1]
         tell(f"facemime: {entry.clip}: {last.removeprefix('facemime: ')}")
-    write_report(entries, folder)
+    report.finish()
     tell(f"facemime: {len(failed)} of {len(entries)} clips failed; see {folder / 'report.html'}.")
     if interrupted:
         tell("facemime: interrupted. Run the same command again to continue.")
     return INTERRUPTED if interrupted else min(len(failed), _MAX_STATUS)
 
 
-def _run(runner: Runner, lines: Sequence[Sequence[str]], total: int) -> tuple[list[Outcome], bool]:
-    """Outcomes of the lines that ended, and whether the user interrupted the batch."""
-    progress = Progress("Puppeting", total, unit="clips")
-    before = total - len(lines)
-    progress.update(before)
-    ended: list[Outcome] = []
-    try:
-        for outcome in runner.run(lines):
-            ended.append(outcome)
-            progress.update(before + len(ended))
-    except KeyboardInterrupt:
-        return ended, True
-    finally:
-        runner.close()
-        progress.finish()
-    return ended, False
-
-
-def _named(clips: Sequence[Path], namer: Namer) -> tuple[dict[str, Clip], list[Entry]]:
-    """The clips by name, the same content once, and an entry for each clip that cannot be read."""
+def _named(clips: Sequence[Path], namer: Namer) -> tuple[list[Clip], list[Entry]]:
+    """The clips with their names, the same content once, and an entry for each clip that cannot be read."""
     named: dict[str, Clip] = {}
     failures: list[Entry] = []
-    for path in clips:
+    progress = Progress("Reading", len(clips), unit="clips")
+    for number, path in enumerate(clips, start=1):
+        progress.update(number)
         try:
             clip = namer.clip(path)
         except SourceError as error:
             failures.append(Entry(printable(path.name), "failed", said=printable(str(error))))
         else:
             named.setdefault(clip.name.rpartition("-")[2], clip)
-    return {clip.name: clip for clip in named.values()}, failures
+    progress.finish()
+    return list(named.values()), failures
 
 
-def _entry(clip: Clip, folder: Path, before: bool, said: str | None) -> Entry:
-    """The entry of a clip in the report; its record decides whether it is done."""
+def _entry(clip: Clip, folder: Path, *, before: bool = False, said: str = "") -> Entry:
+    """The entry of a clip in the report before the batch, or after it was processed; its record decides."""
+    name = printable(clip.path.name)
     if (record := read_record(clip, folder)) is not None:
-        return Entry(printable(clip.path.name), "skipped" if before else "done", clip.name, record=record)
-    return Entry(printable(clip.path.name), "not reached" if said is None else "failed", clip.name, said or "")
+        least = min(record["confidence"], default=1.0)
+        return Entry(name, "skipped" if before else "done", clip.name, least=least)
+    return Entry(name, "not reached" if before else "failed", clip.name, said)
 
 
-def _chosen(clips: Sequence[Path], number: int | None) -> Path:
-    if number is None and len(clips) == 1:
-        return clips[0]
-    if number is None or not 1 <= number <= len(clips):
+def _chosen(sources: Sequence[Path], number: int | None, share: tuple[int, int] | None) -> list[Path]:
+    """The clips of a task: a single one by its number, a share, or all."""
+    clips = find_clips(sources)
+    if share is not None:
+        return clips[share[0] - 1 :: share[1]]
+    if number is None:
+        return clips
+    if not 1 <= number <= len(clips):
         raise SourceError("There are {clips} clips. Choose one: --number 1 to --number {clips}.", clips=len(clips))
-    return clips[number - 1]
+    return [clips[number - 1]]
 
 
 def _thumbnails(clip: Path, take: Take) -> list[bytes]:

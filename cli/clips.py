@@ -7,13 +7,14 @@ clip that was moved or listed twice is processed once.
 
 from __future__ import annotations
 
-import base64
-import binascii
 import glob
 import hashlib
 import json
 import os
-from collections.abc import Sequence
+import re
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -59,8 +60,7 @@ def checked_record(data: Any) -> dict[str, Any]:
     record["confidence"] = [as_number(point, "confidence", 0.0, 1.0) for point in curve]
     worst = as_list(given.get("worst"), "worst", _MOST_PICTURES)
     record["worst"] = [as_number(time, "worst", -_MOST_SECONDS, _MOST_SECONDS) for time in worst]
-    pictures = as_list(given.get("thumbnails"), "thumbnails", _MOST_PICTURES)
-    record["thumbnails"] = [_picture(text) for text in pictures]
+    record["pictures"] = [_name(name) for name in as_list(given.get("pictures"), "pictures", _MOST_PICTURES)]
     return record
 
 
@@ -71,16 +71,12 @@ def _name(value: Any) -> str:
     return value
 
 
-def _picture(value: Any) -> str:
-    if not isinstance(value, str):
-        raise DataError("{value} is not a picture", value=shown(value))
-    try:
-        base64.b64decode(value, validate=True)
-    except (binascii.Error, ValueError) as error:
-        raise DataError("a thumbnail is not in base 64") from error
-    return value
-
-
+PICTURES = "report"
+"""Folder of the report's pages and pictures in the output folder."""
+CHECKSUMS = ".checksums"
+_CHECKSUM = re.compile("[0-9a-f]{64}")
+_SETTLED = 2.0
+"""Age of a file in seconds from which its time tells whether it has changed; FAT counts in steps of two seconds."""
 _VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
 _MAX_LIST = 1 << 26
@@ -158,10 +154,59 @@ def _no_list(path: Path) -> SourceError:
     )
 
 
+class Checksums:
+    """SHA-256 of files, kept in the output folder by path, size and time, as clips may be large and many.
+
+    Several processes and machines may add to the file; a line that they have mixed up is ignored.
+    """
+
+    def __init__(self, folder: Path | None = None) -> None:
+        self._file = None if folder is None else folder / CHECKSUMS
+        self._known: dict[tuple[str, int, int], str] = {}
+        if self._file is not None:
+            self._read(self._file)
+
+    def of(self, path: Path) -> str:
+        """Return the checksum of a file; SourceError if it cannot be read."""
+        check_readable(path)
+        try:
+            before = os.stat(path)
+            key = os.path.abspath(path), before.st_size, before.st_mtime_ns
+            if key not in self._known:
+                with open(path, "rb") as stream:
+                    self._known[key] = hashlib.file_digest(stream, "sha256").hexdigest()
+                self._keep(key, before.st_mtime)
+        except OSError as error:
+            raise SourceError(
+                "{path} cannot be read: {error}. Check the path.", path=path, error=reason_of(error)
+            ) from error
+        return self._known[key]
+
+    def _read(self, file: Path) -> None:
+        try:
+            lines = file.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
+        except OSError:  # there is none yet
+            return
+        for line in lines:
+            with suppress(ValueError, TypeError):
+                path, size, time_ns, digest = json.loads(line)
+                if _CHECKSUM.fullmatch(digest):
+                    self._known[str(path), int(size), int(time_ns)] = digest
+
+    def _keep(self, key: tuple[str, int, int], changed: float) -> None:
+        """Add a line, unless the file has changed so lately that it may change again without another time."""
+        if self._file is None or time.time() - changed < _SETTLED or not self._file.parent.is_dir():
+            return
+        line = json.dumps([*key, self._known[key]]) + "\n"
+        with suppress(OSError), open(self._file, "a", encoding="utf-8") as stream:  # it is computed again next time
+            stream.write(line)
+
+
 class Namer:
     """Names the clips of a job by their file name and a checksum of everything that decides the result."""
 
-    def __init__(self, job: PuppetJob) -> None:
+    def __init__(self, job: PuppetJob, checksums: Checksums | None = None) -> None:
+        self._checksums = Checksums() if checksums is None else checksums
         files = {
             **{"head": None if job.head is None else job.head.path, "points": job.points},
             **{"map": job.map, "style": job.style},
@@ -172,27 +217,15 @@ class Namer:
             "object": None if job.head is None else job.head.name,
             "model": FaceTracker.load().model_id,
             "facemime": version(),
-            **{name: None if path is None else checksum(path) for name, path in files.items()},
+            **{name: None if path is None else self._checksums.of(path) for name, path in files.items()},
         }
         self._settings = json.dumps(decides, sort_keys=True).encode()
 
     def clip(self, path: Path) -> Clip:
         """Name the clip at `path`; SourceError if it cannot be read."""
         require_utf8_name(path)
-        key = hashlib.sha256(checksum(path).encode() + self._settings).hexdigest()
+        key = hashlib.sha256(self._checksums.of(path).encode() + self._settings).hexdigest()
         return Clip(path, f"{path.stem}-{key[:12]}")
-
-
-def checksum(path: Path) -> str:
-    """SHA-256 of a file; SourceError if it cannot be read."""
-    check_readable(path)
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise SourceError(
-            "{path} cannot be read: {error}. Check the path.", path=path, error=reason_of(error)
-        ) from error
 
 
 def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
@@ -204,11 +237,16 @@ def read_record(clip: Clip, folder: Path) -> dict[str, Any] | None:
     return record if all((folder / name).is_file() for name in record["outputs"]) else None
 
 
-def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnails: Sequence[bytes]) -> None:
+def write_record(clip: Clip, folder: Path, take: Take, seconds: float, pictures: Mapping[str, bytes]) -> None:
     """Write the record of a clip for the report, after all other outputs: its existence means that the clip is done.
 
-    It has the seconds that processing took, and JPEG files of the least certain frames.
+    It has the seconds that processing took, and JPEG files for the report by the ends of their names.
     """
+    (folder / PICTURES).mkdir(exist_ok=True)
+    names = {f"{clip.name}-{end}.jpg": data for end, data in pictures.items()}
+    for name, data in names.items():
+        with replacing(folder / PICTURES / name) as temporary:
+            temporary.write_bytes(data)
     record = {
         "clip": clip.path.name,
         "outputs": sorted(path.name for path in folder.glob(f"{glob.escape(clip.name)}.*") if path.suffix in _OUTPUTS),
@@ -219,7 +257,7 @@ def write_record(clip: Clip, folder: Path, take: Take, seconds: float, thumbnail
         "seconds": seconds,
         "confidence": confidence_curve(take),
         "worst": [round(float(take.times[frame]), 2) for frame in worst_frames(take)],
-        "thumbnails": [base64.b64encode(picture).decode() for picture in thumbnails],
+        "pictures": list(names),
     }
     with replacing(clip.output(folder, ".json")) as temporary:
         temporary.write_text(json.dumps(record), encoding="utf-8")

@@ -65,6 +65,14 @@ def whole_number(text: str) -> int:
     return value
 
 
+def share_of_clips(text: str) -> tuple[int, int]:
+    """Type of an option for a part of the clips: its number, and how many parts there are."""
+    found = re.fullmatch(r"(\d{1,6})/(\d{1,6})", text)
+    if found is None or not 1 <= int(found[1]) <= int(found[2]):
+        raise argparse.ArgumentTypeError(Message("{text} is not a share, such as 3/20", text=_shortened(text)))
+    return int(found[1]), int(found[2])
+
+
 def number(text: str) -> float:
     """Type of options that measure something."""
     try:

@@ -1,21 +1,35 @@
-"""The report of a batch: report.json for programs, and report.html for people, a single file."""
+"""The report of a batch: report.json for programs, and report.html for people.
+
+Up to a hundred clips, the page is a single file, which can be shared. For more, it is a summary with links to pages of
+a hundred clips each, whose pictures are files. Pages are written while the batch runs, and records are read one by one,
+so that the memory does not grow with the number of clips.
+"""
 
 from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+import time
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 import cv2
 
-from ..core.errors import SourceError
-from ..core.files.capture import read_image
 from ..core.files.writing import replacing
+from .clips import PICTURES, Clip, read_record
 
+STATUSES = ("done", "skipped", "failed", "not reached")
+_ON_PAGE = 100
+"""Clips on a page."""
+_DOUBTFUL = 50
+"""Least certain clips that a summary lists."""
+_INTERVAL = 15.0
+"""Seconds between two versions of a page, unless all of its clips have ended."""
 _SHEET_WIDTH = 480
 """Width of a contact sheet in pixels."""
 _QUALITY = 75
@@ -28,6 +42,7 @@ _STYLE = """
 body { font: 15px/1.4 system-ui, sans-serif; margin: 2em; color: #222; background: #fafafa }
 article { background: #fff; border: 1px solid #ddd; border-radius: 6px; padding: 1em; margin: 1em 0 }
 article.failed { border-color: #b33 }
+table { border-collapse: collapse } td { padding: .2em 1em .2em 0; vertical-align: top }
 h2 { margin: 0 0 .3em; font-size: 1.1em; overflow-wrap: anywhere }
 pre { white-space: pre-wrap; color: #922 } figure { display: inline-block; margin: .3em .6em .3em 0 }
 img, svg { display: block; max-width: 100% } figcaption { color: #666; font-size: .85em }
@@ -36,56 +51,160 @@ img, svg { display: block; max-width: 100% } figcaption { color: #666; font-size
 
 @dataclass(frozen=True)
 class Entry:
-    """A clip in the report, whose `status` is done, skipped (done before), failed or not reached."""
+    """A clip in the report, whose `status` is done, skipped (done before), failed or not reached.
+
+    `name` is that of its outputs, "" if it cannot be read, and `least` the smallest confidence, 1 if it is not done.
+    """
 
     clip: str
     status: str
     name: str = ""
     said: str = ""
-    record: dict[str, Any] = field(default_factory=dict)
+    least: float = 1.0
 
 
-def write_report(entries: Sequence[Entry], folder: Path) -> None:
-    """Write report.json and report.html into the output folder; raises OutputError if they cannot be written."""
-    summary = {"counts": _counts(entries), "clips": [_without_pictures(entry) for entry in entries]}
-    with replacing(folder / "report.json") as temporary:
-        temporary.write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
-    with replacing(folder / "report.html") as temporary:
-        temporary.write_text(_page(entries, folder), encoding="utf-8", errors="replace")
+class Report:
+    """The report of a batch, which is written as clips end.
+
+    Parameters
+    ----------
+    entries : sequence of Entry
+        All clips, as they are at the start.
+    folder : Path
+        The output folder, which has the records.
+    """
+
+    def __init__(self, entries: Sequence[Entry], folder: Path) -> None:
+        self._entries, self._folder = list(entries), folder
+        self._written = [0.0] * len(self._pages)
+        self._waiting = set(range(len(self._written)))
+
+    @property
+    def _pages(self) -> list[Sequence[Entry]]:
+        return [self._entries[start : start + _ON_PAGE] for start in range(0, len(self._entries), _ON_PAGE)]
+
+    def ended(self, number: int, entry: Entry) -> None:
+        """Note what became of a clip, and write its page if that was last done some time ago, or all have ended.
+
+        Raises OutputError if it cannot be written.
+        """
+        self._entries[number] = entry
+        page = number // _ON_PAGE
+        self._waiting.add(page)
+        complete = all(each.status != "not reached" for each in self._pages[page])
+        if complete or time.monotonic() - self._written[page] > _INTERVAL:
+            self._write(page)
+            self._write_summary()
+
+    def finish(self) -> None:
+        """Write the report; raises OutputError if it cannot be written."""
+        for page in sorted(self._waiting):
+            self._write(page)
+        self._write_summary()
+        with replacing(self._folder / "report.json") as temporary, temporary.open("w", encoding="utf-8") as stream:
+            stream.write(f'{{"counts": {json.dumps(_counts(self._entries))},\n"clips": [')
+            for number, entry in enumerate(self._entries):
+                data = {**asdict(entry), "record": _record(entry, self._folder)}
+                stream.write(("," if number else "") + "\n" + json.dumps(data))
+            stream.write("\n]}\n")
+
+    def _write(self, page: int) -> None:
+        """Write a page of clips; a single one is the whole report."""
+        self._written[page] = time.monotonic()
+        self._waiting.discard(page)
+        single, entries = len(self._written) == 1, self._pages[page]
+        body = [_article(entry, self._folder, inline=single) for entry in sorted(entries, key=_place)]
+        if single:
+            _write_page(self._folder / "report.html", _title(entries), body)
+        else:
+            (self._folder / PICTURES).mkdir(exist_ok=True)
+            back = f'<p><a href="../report.html">All {len(self._entries)} clips</a></p>'
+            _write_page(self._folder / PICTURES / _page_name(page), _title(entries), [back, *body])
+
+    def _write_summary(self) -> None:
+        if len(self._written) == 1:
+            return
+        failed = [(number, entry) for number, entry in enumerate(self._entries) if entry.status == "failed"]
+        order = sorted(range(len(self._entries)), key=lambda number: self._entries[number].least)
+        doubtful = [
+            (number, self._entries[number]) for number in order[:_DOUBTFUL] if self._entries[number].least < 1.0
+        ]
+        body = []
+        if failed:
+            body += [
+                "<h2>Failed</h2>",
+                _table((_link(n, entry), escape(_last_line(entry.said))) for n, entry in failed),
+            ]
+        if doubtful:
+            least = _table((_link(n, entry), f"{entry.least:.2f}") for n, entry in doubtful)
+            body += ["<h2>Least certain: smallest confidence, 0 to 1</h2>", least]
+        links = (
+            f'<a href="{PICTURES}/{_page_name(page)}">{page * _ON_PAGE + 1} to {page * _ON_PAGE + len(entries)}</a>'
+            if self._written[page]
+            else f"{page * _ON_PAGE + 1} to {page * _ON_PAGE + len(entries)}"
+            for page, entries in enumerate(self._pages)
+        )
+        body += ["<h2>Pages</h2>", _table(zip(links, map(_said_counts, self._pages), strict=True))]
+        _write_page(self._folder / "report.html", _title(self._entries), body)
+
+
+def _page_name(page: int) -> str:
+    return f"page-{page + 1}.html"
+
+
+def _link(number: int, entry: Entry) -> str:
+    return f'<a href="{PICTURES}/{_page_name(number // _ON_PAGE)}#{_quoted(entry.name)}">{escape(entry.clip)}</a>'
+
+
+def _quoted(name: str) -> str:
+    return quote(name, errors="replace")
+
+
+def _table(rows: Iterable[tuple[str, str]]) -> str:
+    return "<table>" + "\n".join(f"<tr><td>{one}</td><td>{other}</td></tr>" for one, other in rows) + "</table>"
+
+
+def _last_line(said: str) -> str:
+    return (said.splitlines() or [""])[-1].removeprefix("facemime: ")
 
 
 def _counts(entries: Sequence[Entry]) -> dict[str, int]:
-    return {
-        status: sum(entry.status == status for entry in entries)
-        for status in ("done", "skipped", "failed", "not reached")
-    }
+    counted = Counter(entry.status for entry in entries)
+    return {status: counted[status] for status in STATUSES}
 
 
-def _without_pictures(entry: Entry) -> dict[str, Any]:
-    data = asdict(entry)
-    data["record"].pop("thumbnails", None)
-    return data
+def _said_counts(entries: Sequence[Entry]) -> str:
+    return ", ".join(f"{count} {status}" for status, count in _counts(entries).items() if count)
 
 
-def _page(entries: Sequence[Entry], folder: Path) -> str:
-    counts = ", ".join(f"{count} {status}" for status, count in _counts(entries).items() if count)
-    # Failures first, then by the least confidence.
-    body = "\n".join(_article(entry, folder) for entry in sorted(entries, key=_place))
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Facemime: {counts}</title>'
-        f"<style>{_STYLE}</style></head>\n<body><h1>{len(entries)} clips: {counts}</h1>\n{body}\n</body></html>\n"
+def _title(entries: Sequence[Entry]) -> str:
+    return f"{len(entries)} clips: {_said_counts(entries)}"
+
+
+def _write_page(path: Path, title: str, body: Sequence[str]) -> None:
+    text = (
+        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Facemime: {title}</title>'
+        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>\n"
     )
+    with replacing(path) as temporary:
+        temporary.write_text(text + "\n".join(body) + "\n</body></html>\n", encoding="utf-8", errors="replace")
 
 
 def _place(entry: Entry) -> tuple[bool, float]:
-    return entry.status != "failed", min(entry.record.get("confidence", ()), default=1.0)
+    """Failures first, then by the least confidence."""
+    return entry.status != "failed", entry.least
 
 
-def _article(entry: Entry, folder: Path) -> str:
+def _record(entry: Entry, folder: Path) -> dict[str, Any]:
+    """The record of a clip; empty if it is not done."""
+    return (read_record(Clip(Path(entry.clip), entry.name), folder) if entry.name else None) or {}
+
+
+def _article(entry: Entry, folder: Path, *, inline: bool) -> str:
     parts = [f"<h2>{escape(entry.clip)}: {escape(entry.status)}</h2>"]
     if entry.said:
         parts.append(f"<pre>{escape(entry.said)}</pre>")
-    if record := entry.record:
+    if record := _record(entry, folder):
         parts.append(
             f"<p>{record['length']:.1f} s, a face in {record['found']:d} of {record['frames']:d} frames, "
             f"processed in {record['seconds']:.1f} s</p>"
@@ -93,21 +212,28 @@ def _article(entry: Entry, folder: Path) -> str:
         if missing := record.get("missing"):
             parts.append(f"<pre>{escape(missing)}</pre>")
         parts.append(_figure(_curve(record["confidence"]), "confidence over time, 0 to 1"))
+        captions = [*(f"least certain, at {time:.2f} s" for time in record["worst"]), "performer and avatar"]
         parts += [
-            _figure(_image(picture), f"least certain, at {time:.2f} s")
-            for picture, time in zip(record["thumbnails"], record["worst"], strict=False)
+            _figure(_image(folder / PICTURES / picture, inline=inline), caption)
+            for picture, caption in zip(record["pictures"], captions, strict=False)
         ]
-        parts.append(_figure(_image(_sheet(folder / f"{entry.name}.png")), "performer and avatar"))
     kind = ' class="failed"' if entry.status == "failed" else ""
-    return f"<article{kind}>{''.join(parts)}</article>"
+    return f'<article id="{_quoted(entry.name)}"{kind}>{"".join(parts)}</article>'
 
 
 def _figure(content: str, caption: str) -> str:
     return f"<figure>{content}<figcaption>{escape(caption)}</figcaption></figure>" if content else ""
 
 
-def _image(jpeg: str) -> str:
-    return f'<img alt="" src="data:image/jpeg;base64,{escape(jpeg)}">' if jpeg else ""
+def _image(path: Path, *, inline: bool) -> str:
+    """A picture in the page itself, or as a link to its file; empty if it is missing."""
+    try:
+        source = (
+            f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}" if inline else _quoted(path.name)
+        )
+    except OSError:
+        return ""
+    return f'<img alt="" loading="lazy" src="{source}">'
 
 
 def _curve(confidence: Sequence[float]) -> str:
@@ -120,15 +246,10 @@ def _curve(confidence: Sequence[float]) -> str:
     )
 
 
-def _sheet(path: Path) -> str:
-    """The contact sheet, reduced, in base64; empty if it is missing."""
-    try:
-        image = read_image(path)
-    except SourceError:
-        return ""
+def sheet_for_report(image: Any) -> bytes:
+    """Reduce a contact sheet, (H, W, 3) BGR, to the width of the report, as JPEG."""
     height = max(1, round(_SHEET_WIDTH * image.shape[0] / image.shape[1]))
-    small = cv2.resize(image, (_SHEET_WIDTH, height), interpolation=cv2.INTER_AREA)
-    return base64.b64encode(jpeg_of(small)).decode()
+    return jpeg_of(cv2.resize(image, (_SHEET_WIDTH, height), interpolation=cv2.INTER_AREA))
 
 
 def jpeg_of(image: Any) -> bytes:

@@ -1,11 +1,17 @@
-"""Runners of command lines, each in a process of its own, on this machine or on others through Dask."""
+"""Runners of clips, some of them in a process one after the other, on this machine or on others through Dask.
+
+A process prints an outcome for each clip. If it dies, the clip that it had begun has failed, and others go on.
+"""
 
 from __future__ import annotations
 
+import json
+import queue
 import subprocess
+import threading
 import time
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
@@ -16,11 +22,14 @@ from .guard import leashed, own_command
 _LINES = 12
 _PATIENCE = 10.0
 """Seconds for a process to terminate before it is killed."""
+_TOGETHER = 16
+"""Largest number of clips in a process: starting Blender takes as long as tracking some seconds of video."""
+_STOPPED = 130
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of command line number `index`: its exit status, and the last lines of its messages."""
+    """Outcome of clip number `index`: its exit status, and the last lines of its messages."""
 
     index: int
     status: int
@@ -28,14 +37,14 @@ class Outcome:
 
 
 class Runner(Protocol):
-    """Runs command lines of `facemime` and reports each as it ends; `close` stops those that still run."""
+    """Runs `facemime clip` for many clips and reports each as it ends; `close` stops those that still run."""
 
-    def run(self, lines: Sequence[Sequence[str]]) -> Iterator[Outcome]:
-        """Run all `lines`, which are arguments of `facemime`, in any order."""
+    def run(self, clips: Sequence[str], options: Sequence[str]) -> Iterator[Outcome]:
+        """Process clips, which are paths, with the same options, in any order."""
         ...
 
     def close(self) -> None:
-        """Stop running lines and drop waiting ones; may be called twice."""
+        """Stop running clips and drop waiting ones; may be called twice."""
         ...
 
 
@@ -43,20 +52,31 @@ class LocalRunner:
     """Runs `jobs` processes at a time on this machine."""
 
     def __init__(self, jobs: int) -> None:
-        self._pool = ThreadPoolExecutor(jobs)
+        self._jobs = jobs
         self._running: set[subprocess.Popen[str]] = set()
         self._closed = False
+        self._lock = threading.Lock()
+        self._threads: list[threading.Thread] = []
 
-    def run(self, lines: Sequence[Sequence[str]]) -> Iterator[Outcome]:
+    def run(self, clips: Sequence[str], options: Sequence[str]) -> Iterator[Outcome]:
         """As `Runner.run`."""
-        waiting = [self._pool.submit(self._one, index, line) for index, line in enumerate(lines)]
-        for done in as_completed(waiting):
-            yield done.result()
+        waiting, ended = deque(range(len(clips))), queue.SimpleQueue[Outcome]()
+
+        def work() -> None:
+            while indices := self._taken(waiting):
+                left = self._several(clips, options, indices, ended)
+                with self._lock:
+                    waiting.extendleft(reversed(left))
+
+        self._threads = [threading.Thread(target=work, daemon=True) for _ in range(min(self._jobs, len(clips)))]
+        for thread in self._threads:
+            thread.start()
+        for _ in clips:
+            yield ended.get()
 
     def close(self) -> None:
         """As `Runner.close`; clips that were killed do not count as done."""
         self._closed = True
-        self._pool.shutdown(wait=False, cancel_futures=True)
         for process in list(self._running):
             process.terminate()
         end = time.monotonic() + _PATIENCE
@@ -64,24 +84,34 @@ class LocalRunner:
             time.sleep(0.02)
         for process in list(self._running):
             process.kill()
-        self._pool.shutdown(wait=True)
+        for thread in self._threads:
+            thread.join()
 
-    def _one(self, index: int, line: Sequence[str]) -> Outcome:
+    def _taken(self, waiting: deque[int]) -> list[int]:
+        """Take the clips of one process, fewer towards the end, so that all processes end at about the same time."""
+        with self._lock:
+            return [waiting.popleft() for _ in range(_share(len(waiting), self._jobs))]
+
+    def _several(
+        self, clips: Sequence[str], options: Sequence[str], indices: list[int], ended: queue.SimpleQueue[Outcome]
+    ) -> list[int]:
+        """Process clips in one process, and return those that it did not begin."""
         if self._closed:
-            return Outcome(index, 130, "stopped")
-        with _started(line) as process:
+            for index in indices:
+                ended.put(Outcome(index, _STOPPED, "stopped"))
+            return []
+        with _started(["clip", *(clips[index] for index in indices), *options]) as process:
             self._running.add(process)
             if self._closed:  # closed meanwhile
                 process.terminate()
             try:
-                _, said = process.communicate()
+                return _followed(process, indices, ended.put)
             finally:
                 self._running.discard(process)
-        return Outcome(index, process.returncode, _last(said))
 
 
 class DaskRunner:
-    """Runs lines on the workers of a Dask scheduler, one per thread; those of a lost worker go to another one.
+    """Runs clips on the workers of a Dask scheduler, a process per thread; those of a lost worker go to another one.
 
     Facemime has to be installed on the workers, with clips, head and output folder at the same paths.
     """
@@ -102,16 +132,33 @@ class DaskRunner:
             ) from error
         self._waiting: list[object] = []
 
-    def run(self, lines: Sequence[Sequence[str]]) -> Iterator[Outcome]:
+    def run(self, clips: Sequence[str], options: Sequence[str]) -> Iterator[Outcome]:
         """As `Runner.run`."""
         from distributed import as_completed as each
 
-        futures = {self._client.submit(run_line, list(line), pure=False): i for i, line in enumerate(lines)}
+        workers = max(sum(self._client.nthreads().values()), 1)  # type: ignore[no-untyped-call]  # Dask has no types
+        futures: dict[object, list[int]] = {}
+        left = deque(range(len(clips)))
+        while left:
+            indices = [left.popleft() for _ in range(_share(len(left), workers))]
+            futures[self._submit(clips, options, indices)] = indices
         self._waiting = list(futures)
-        for future in each(futures):  # type: ignore[no-untyped-call]  # Dask has no types
-            error = future.exception()
-            status, said = (1, f"lost with its worker: {error}") if error is not None else future.result()
-            yield Outcome(futures[future], status, said)
+        ended = each(futures)  # type: ignore[no-untyped-call]  # Dask has no types
+        for future in ended:
+            indices = futures.pop(future)
+            if (error := future.exception()) is not None:
+                yield from (Outcome(index, 1, f"lost with its worker: {error}") for index in indices)
+                continue
+            outcomes = future.result()
+            yield from (Outcome(index, *outcome) for index, outcome in zip(indices, outcomes, strict=False))
+            if again := indices[len(outcomes) :]:
+                more = self._submit(clips, options, again)
+                futures[more] = again
+                self._waiting.append(more)
+                ended.add(more)  # type: ignore[no-untyped-call]  # Dask has no types
+
+    def _submit(self, clips: Sequence[str], options: Sequence[str], indices: Sequence[int]) -> object:
+        return self._client.submit(run_clips, [clips[index] for index in indices], list(options), pure=False)
 
     def close(self) -> None:
         """As `Runner.close`."""
@@ -119,17 +166,46 @@ class DaskRunner:
         self._client.close()  # type: ignore[no-untyped-call]  # Dask has no types
 
 
-def run_line(line: list[str]) -> tuple[int, str]:
-    """Run a command line of `facemime`; returns its exit status and the last lines of its messages."""
-    with _started(line) as process:
-        _, said = process.communicate()
-    return process.returncode, _last(said)
+def run_clips(clips: Sequence[str], options: Sequence[str]) -> list[tuple[int, str]]:
+    """Process clips in one process; returns the exit status and the last lines of the messages of those it began."""
+    ended: list[Outcome] = []
+    with _started(["clip", *clips, *options]) as process:
+        _followed(process, list(range(len(clips))), ended.append)
+    return [(outcome.status, outcome.said) for outcome in ended]
+
+
+def _share(waiting: int, processes: int) -> int:
+    """Number of clips for the next process."""
+    return min(_TOGETHER, -(-waiting // (2 * processes)))
+
+
+def _followed(process: subprocess.Popen[str], indices: list[int], ended: Callable[[Outcome], None]) -> list[int]:
+    """Report the outcomes of a process as it prints them; returns the clips that it did not begin."""
+    assert process.stdout is not None and process.stderr is not None
+    said: deque[str] = deque(maxlen=_LINES)
+    listening = threading.Thread(target=said.extend, args=(process.stderr,), daemon=True)
+    listening.start()
+    left = deque(indices)
+    for line in process.stdout:
+        if left and (outcome := _outcome(line)) is not None:
+            ended(Outcome(left.popleft(), *outcome))
+    listening.join()
+    status = process.wait()
+    if left and (status or len(left) == len(indices)):
+        ended(Outcome(left.popleft(), status or 1, "".join(said).strip()))
+    return list(left)
+
+
+def _outcome(line: str) -> tuple[int, str] | None:
+    """Status and message in a line that `facemime clip` has printed for a clip; None if it is another line."""
+    try:
+        data = json.loads(line)
+        return int(data["status"]), str(data["said"])
+    except (ValueError, TypeError, KeyError):
+        return None
 
 
 def _started(line: Sequence[str]) -> AbstractContextManager[subprocess.Popen[str]]:
-    output = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "errors": "replace"}
-    return leashed([*own_command(), *line], **output)
-
-
-def _last(said: str) -> str:
-    return "\n".join(said.strip().splitlines()[-_LINES:])
+    return leashed(
+        [*own_command(), *line], stdout=subprocess.PIPE, stderr=subprocess.PIPE, encoding="utf-8", errors="replace"
+    )

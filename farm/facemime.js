@@ -1,4 +1,4 @@
-/* Flamenco job type: one task for each clip in a folder or a list, followed by a report on all clips.
+/* Flamenco job type: tasks that share the clips of a folder or a list, followed by a report on all clips.
  * Copy this file to the `scripts` folder of the Flamenco manager. The workers need `facemime` on their path, and must
  * have the clips, the head and the output folder under the same paths. If the job is run again, clips that are done are
  * skipped. */
@@ -8,7 +8,8 @@ const JOB_TYPE = {
     settings: [
         { key: "clips", type: "string", required: true,
           description: "Folder of clips, or a text file with one path per line" },
-        { key: "count", type: "int32", required: true, description: "Number of clips" },
+        { key: "tasks", type: "int32", default: 100, propargs: { min: 1, max: 10000 },
+          description: "Number of tasks, each with its share of the clips; more workers than tasks are idle" },
         { key: "output", type: "string", subtype: "dir_path", required: true, description: "Folder for the results" },
         // Options, written by tools/farm.py
         { key: "face", type: "string", default: "",
@@ -132,8 +133,9 @@ function compileJob(job) {
         else if (value !== undefined && value !== "") options.push("--" + name, String(value));
     }
     const report = facemime("report", ["batch", settings.clips].concat(options));
-    for (let number = 1; number <= settings.count; number++) {
-        const task = facemime("clip-" + number, ["clip", settings.clips, "--number", String(number)].concat(options));
+    for (let number = 1; number <= settings.tasks; number++) {
+        const share = number + "/" + settings.tasks;
+        const task = facemime("clips " + share, ["clip", settings.clips, "--share", share].concat(options));
         report.addDependency(task);
         job.addTask(task);
     }

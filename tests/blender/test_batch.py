@@ -138,7 +138,7 @@ def test_the_commands_of_the_flamenco_job_process_every_clip_and_write_the_repor
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     settings = {
         "clips": str(clips),
-        "count": 2,
+        "tasks": 2,
         "output": str(out),
         "face": "left",
         "smoothing": 0.5,
@@ -146,8 +146,8 @@ def test_the_commands_of_the_flamenco_job_process_every_clip_and_write_the_repor
         "keys": "cache",
     }
     tasks = flamenco_tasks(settings)
-    assert [task["name"] for task in tasks] == ["clip-1", "clip-2", "report"]
-    assert tasks[-1]["after"] == ["clip-1", "clip-2"]
+    assert [task["name"] for task in tasks] == ["clips 1/2", "clips 2/2", "report"]
+    assert tasks[-1]["after"] == ["clips 1/2", "clips 2/2"]
     for task in tasks:
         (command,) = task["commands"]
         assert command["name"] == "exec"
@@ -165,7 +165,12 @@ def test_the_flamenco_job_declares_its_settings():
     engine = quickjs.Context()
     engine.eval((ROOT / "farm" / "facemime.js").read_text())
     settings = json.loads(engine.eval("JSON.stringify(JOB_TYPE)"))["settings"]
-    assert [item["key"] for item in settings if item.get("required")] == ["clips", "count", "output"]
+    assert [item["key"] for item in settings if item.get("required")] == ["clips", "output"]
+    # What Flamenco's published job types use.
+    known = {"key", "type", "subtype", "choices", "default", "propargs", "required", "visible", "editable", "eval"}
+    assert {name for item in settings for name in item} <= known | {"evalInfo", "label", "description"}
+    assert {item["type"] for item in settings} <= {"string", "int32", "float", "bool"}
+    assert {item.get("subtype", "dir_path") for item in settings} <= {"file_path", "dir_path", "file_name"}
 
 
 @pytest.mark.thorough
@@ -173,7 +178,7 @@ def test_the_open_job_description_processes_every_clip_and_writes_the_report(tmp
     clips, out = write_clips(tmp_path / "clips", 2), tmp_path / "out"
     template = ROOT / "farm" / "facemime.openjd.yaml"
     line = [BIN / "openjd", "run", template, "--step", "Report", "--run-dependencies"]
-    for parameter in (f"Clips={clips}", "Count=2", f"Output={out}"):
+    for parameter in (f"Clips={clips}", "Tasks=2", f"Output={out}"):
         line += ["-p", parameter]
     done = subprocess.run(line, env=ENVIRONMENT, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stdout + done.stderr

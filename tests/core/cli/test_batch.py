@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 import threading
@@ -11,19 +12,27 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
+from facemime.cli import clips, runners
 from facemime.cli import main as cli
-from facemime.cli import runners
-from facemime.cli.clips import Clip, Namer, confidence_curve, find_clips, read_record, worst_frames, write_record
+from facemime.cli.clips import (
+    CHECKSUMS,
+    Checksums,
+    Clip,
+    Namer,
+    confidence_curve,
+    find_clips,
+    read_record,
+    worst_frames,
+    write_record,
+)
 from facemime.cli.guard import own_command
 from facemime.cli.options import Parser, add_puppet_options, as_options, parse, puppet_job
-from facemime.cli.report import Entry, write_report
+from facemime.cli.report import Entry, Report
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.errors import FacemimeError, OutputError, SourceError
-from facemime.core.files.capture import write_image
 from facemime.core.files.setting import settings_of
 from facemime.core.files.writing import locked
 from facemime.core.puppet.job import HeadFile, PuppetJob
@@ -117,7 +126,7 @@ def test_a_clip_is_done_if_its_record_and_outputs_exist(tmp_path):
     outputs = [job.output(tmp_path, suffix) for suffix in (".blend", ".facetake", ".pc2", ".png")]
     for path in (*outputs, job.output(tmp_path, ".lock")):
         path.touch()
-    write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
+    write_record(job, tmp_path, performance(), 1.0, {"1": b"jpeg"})
     record = read_record(job, tmp_path)
     assert record["outputs"] == [path.name for path in outputs]
     outputs[2].unlink()
@@ -144,13 +153,13 @@ def done(tmp_path) -> tuple[Clip, Path, dict]:
     """A finished clip, the path of its record, and its content."""
     job = Clip(tmp_path / "a.mp4", "a-1")
     job.output(tmp_path, ".blend").write_bytes(b"x")
-    write_record(job, tmp_path, performance(), 1.0, [b"jpeg"])
+    write_record(job, tmp_path, performance(), 1.0, {"1": b"jpeg"})
     path = job.output(tmp_path, ".json")
     return job, path, json.loads(path.read_text())
 
 
 @pytest.mark.parametrize(
-    "key", ["clip", "outputs", "frames", "found", "length", "seconds", "confidence", "worst", "thumbnails"]
+    "key", ["clip", "outputs", "frames", "found", "length", "seconds", "confidence", "worst", "pictures"]
 )
 def test_a_clip_whose_record_lacks_a_part_is_not_done(done, key):
     job, path, record = done
@@ -167,7 +176,7 @@ def test_a_clip_whose_record_lacks_a_part_is_not_done(done, key):
         *(("outputs", value) for value in ([], ["../a-1.blend"], ["/etc/passwd"], ["a\\b"], [""], [3], "a-1.blend")),
         *(("confidence", value) for value in (["<script>"], [2.0], [float("nan")], 3, [0.5] * 5000)),
         *(("worst", value) for value in (["x"], [[]], [None])),
-        *(("thumbnails", value) for value in (['"><script>alert(1)</script>'], [3], {})),
+        *(("pictures", value) for value in (["../a.jpg"], ["/etc/passwd"], [3], {})),
         ("clip", ["a"]),
         *(("missing", value) for value in (3, None, "x" * 2000)),
     ],
@@ -178,12 +187,21 @@ def test_a_clip_with_an_invalid_record_is_not_done(done, key, value):
     assert read_record(job, path.parent) is None
 
 
+def recorded(folder, name, record=None):
+    """Write the record of a clip that is done."""
+    clip = Clip(folder / f"{name}.mp4", f"{name}-1")
+    clip.output(folder, ".png").touch()
+    write_record(clip, folder, performance(), 1.0, {"1": b"jpeg", "sheet": b"sheet"})
+    if record is not None:
+        path = clip.output(folder, ".json")
+        path.write_text(json.dumps(json.loads(path.read_text()) | record))
+    return clip
+
+
 def test_names_and_messages_are_escaped_in_the_report(tmp_path):
     odd = "<script>alert(1)</script>\udce9"
-    record = {"length": 1.0, "found": 1, "frames": 2, "seconds": 1.0, "confidence": [], "worst": [0.5]}
-    record["thumbnails"] = ['"><script>alert(2)</script>']
-    record["missing"] = "<script>alert(3)</script>"
-    write_report([Entry(odd, odd, odd, odd, record), Entry("b", "failed")], tmp_path)
+    recorded(tmp_path, "a", {"missing": "<script>alert(3)</script>", "pictures": ['"><script>alert(2)']})
+    Report([Entry(odd, odd, "a-1", odd), Entry(odd, "failed", odd), Entry("b", "failed")], tmp_path).finish()
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     assert "<script" not in page and "&lt;script&gt;" in page and "alert(3)" in page
 
@@ -191,56 +209,114 @@ def test_names_and_messages_are_escaped_in_the_report(tmp_path):
 def test_the_report_says_what_is_missing_from_a_clip(tmp_path):
     take = performance()
     take.info["recovered"] = "The video was cut or damaged. Missing: 3.00 s after 2.36 s."
-    write_record(job := Clip(tmp_path / "a.mp4", "a-1"), tmp_path, take, 1.0, [])
-    record = json.loads(job.output(tmp_path, ".json").read_text())
-    write_report([Entry("a.mp4", "done", "a-1", record=record)], tmp_path)
+    (tmp_path / "a-1.png").touch()
+    write_record(Clip(tmp_path / "a.mp4", "a-1"), tmp_path, take, 1.0, {})
+    Report([Entry("a.mp4", "done", "a-1")], tmp_path).finish()
     assert take.info["recovered"] in (tmp_path / "report.html").read_text()
 
 
-def test_the_report_is_one_file_and_lists_failures_first(tmp_path):
-    write_image(tmp_path / "good-1.png", np.full((60, 90, 3), 128, np.uint8))
-    write_record(job := Clip(tmp_path / "good.mp4", "good-1"), tmp_path, performance(), 1.0, [b"jpeg"] * 2)
-    record = json.loads(job.output(tmp_path, ".json").read_text())
+def test_the_report_of_few_clips_is_one_file_and_lists_failures_first(tmp_path):
+    recorded(tmp_path, "good")
     entries = [
-        Entry("good.mp4", "done", "good-1", record=record),
+        Entry("good.mp4", "done", "good-1", least=0.4),
         Entry("<b>.mp4", "failed", "b-1", said="a < b"),
         Entry("late.mp4", "not reached"),
     ]
-    write_report(entries, tmp_path)
+    Report(entries, tmp_path).finish()
     page = (tmp_path / "report.html").read_text()
     assert "3 clips: 1 done, 1 failed, 1 not reached" in page
     assert page.index("&lt;b&gt;.mp4: failed") < page.index("good.mp4: done") and "a &lt; b" in page
-    assert page.count("data:image/jpeg;base64,") == 3 and "<polyline" in page and "http" not in page
+    assert page.count("data:image/jpeg;base64,") == 2 and "<polyline" in page and "http" not in page
     told = json.loads((tmp_path / "report.json").read_text())
     assert told["counts"] == {"done": 1, "skipped": 0, "failed": 1, "not reached": 1}
-    assert "thumbnails" not in told["clips"][0]["record"]
+    assert told["clips"][0]["record"]["pictures"] == ["good-1-1.jpg", "good-1-sheet.jpg"]
+
+
+def test_the_report_of_many_clips_has_pages_that_are_written_as_clips_end(tmp_path):
+    entries = [Entry(f"{number}.mp4", "not reached", f"{number}-1") for number in range(250)]
+    report = Report(entries, tmp_path)
+    recorded(tmp_path, "7")
+    report.ended(7, Entry("7.mp4", "done", "7-1", least=0.3))
+    summary = (tmp_path / "report.html").read_text()
+    assert "250 clips: 1 done, 249 not reached" in summary and '<a href="report/page-1.html#7-1">7.mp4</a>' in summary
+    assert "page-3.html" not in summary, "a page that is not written has no link"
+    page = (tmp_path / "report" / "page-1.html").read_text()
+    assert 'src="7-1-1.jpg"' in page and "base64" not in page and 'href="../report.html"' in page
+    report.ended(249, Entry("249.mp4", "failed", "249-1", said="facemime: no face"))
+    report.finish()
+    summary = (tmp_path / "report.html").read_text()
+    assert 'page-3.html">201 to 250</a></td><td>1 failed, 49 not reached' in summary
+    assert 'page-3.html#249-1">249.mp4</a></td><td>no face' in summary
+    assert len(json.loads((tmp_path / "report.json").read_text())["clips"]) == 250
+
+
+def test_checksums_are_kept_by_size_and_time(tmp_path, monkeypatch):
+    clip, out = tmp_path / "a.mp4", tmp_path / "out"
+    out.mkdir()
+    clip.write_text("one")
+    os.utime(clip, (1e9, 1e9))
+    first = Checksums(out).of(clip)
+    (out / CHECKSUMS).write_text((out / CHECKSUMS).read_text() + 'half a line\n["x", 1]\n["y", 1, 1, "zz"]\n')
+    with monkeypatch.context() as patch:
+        patch.setattr(clips.hashlib, "file_digest", None)
+        assert Checksums(out).of(clip) == first
+    clip.write_text("two")
+    os.utime(clip, (1e9 + 5, 1e9 + 5))
+    assert Checksums(out).of(clip) != first
+
+
+def test_the_checksum_of_a_file_that_has_just_changed_is_not_kept(tmp_path):
+    clip = tmp_path / "a.mp4"
+    clip.write_text("one")
+    Checksums(tmp_path).of(clip)
+    assert not (tmp_path / CHECKSUMS).exists()
+
+
+_WORKER = """
+import json, os, sys
+for name in sys.argv[2:]:
+    if name == "abort":
+        os.abort()
+    if name == "leave":
+        sys.exit("no head")
+    print("something else")
+    print(json.dumps({"clip": name, "status": int(name == "bad"), "said": name}), flush=True)
+"""
 
 
 @pytest.fixture
-def python_lines(monkeypatch):
-    """Run command lines as Python code."""
-    monkeypatch.setattr(runners, "own_command", lambda: [sys.executable, "-c", "import sys; exec(sys.argv[1])"])
+def workers(monkeypatch):
+    """Processes that only say what became of clips."""
+    monkeypatch.setattr(runners, "own_command", lambda: [sys.executable, "-c", _WORKER])
 
 
-def test_a_crashed_or_failed_process_does_not_stop_others(python_lines):
-    lines = ["import os; os.abort()", "sys.exit('no head')", "pass", "print('so', file=sys.stderr)", "sys.exit(7)"]
+@pytest.mark.parametrize("together", [1, 3, 16])
+def test_a_crashed_or_failed_process_does_not_stop_other_clips(workers, monkeypatch, together):
+    monkeypatch.setattr(runners, "_TOGETHER", together)
+    names = ["abort", "leave", "one", "bad", *["more"] * 20, "abort", "last"]
     runner = runners.LocalRunner(2)
-    ended = sorted(runner.run([[line] for line in lines]), key=lambda outcome: outcome.index)
+    ended = sorted(runner.run(names, []), key=lambda outcome: outcome.index)
     runner.close()
     runner.close()
-    assert [outcome.status for outcome in ended][1:] == [1, 0, 0, 7] and ended[0].status != 0
-    assert ended[1].said == "no head" and ended[3].said == "so"
-    assert runners.run_line(["sys.exit('there too')"]) == (1, "there too")
+    assert [outcome.index for outcome in ended] == list(range(len(names)))
+    failed = {name: {outcome.status for outcome in ended if names[outcome.index] == name} for name in names}
+    assert failed["one"] == failed["more"] == failed["last"] == {0} and failed["bad"] == failed["leave"] == {1}
+    assert 0 not in failed["abort"] and ended[1].said == "no head" and ended[3].said == "bad"
 
 
-def test_closing_a_runner_ends_running_and_drops_waiting_lines(python_lines, tmp_path):
-    script = f"open({str(tmp_path / 'started')!r}, 'w').close(); import time; time.sleep(600)"
+def test_a_task_of_several_clips_reports_those_that_it_began(workers):
+    assert runners.run_clips(["one", "leave", "two"], []) == [(0, "one"), (1, "no head")]
+
+
+def test_closing_a_runner_ends_running_and_drops_waiting_clips(monkeypatch, tmp_path):
+    script = f"import sys, time; open({str(tmp_path)!r} + '/' + sys.argv[2], 'w').close(); time.sleep(600)"
+    monkeypatch.setattr(runners, "own_command", lambda: [sys.executable, "-c", script])
+    monkeypatch.setattr(runners, "_TOGETHER", 1)
     runner = runners.LocalRunner(1)
-    lines = [[script], [f"open({str(tmp_path / 'second')!r}, 'w').close()"]]
-    thread = threading.Thread(target=lambda: ended.append(next(runner.run(lines))))
+    thread = threading.Thread(target=lambda: ended.append(next(runner.run(["first", "second"], []))))
     ended: list[runners.Outcome] = []
     thread.start()
-    while not (tmp_path / "started").exists():
+    while not (tmp_path / "first").exists():
         time.sleep(0.01)
     runner.close()
     thread.join()
@@ -297,9 +373,10 @@ def test_a_lock_is_exclusive_and_ends_with_its_process(tmp_path):
         (["batch", "{0}", "-o", "{0}/out"], "no video in"),
         (["batch", "{0}/a.mp4", "-o", "{0}/out", "--jobs", "0"], "must be at least 1"),
         (["batch", "{0}/a.mp4", "-o", "{0}/a.mp4"], "read-only|not a directory|folder"),
-        (["clip", "{0}/list", "-o", "{0}/out"], "--number 1 to --number 2"),
+        (["clip", "{0}/list", "--number", "0", "-o", "{0}/out"], "--number 1 to --number 2"),
         (["clip", "{0}/list", "--number", "3", "-o", "{0}/out"], "--number 1 to --number 2"),
         (["clip", "{0}/list", "--number", "2", "-o", "{0}/out"], "cannot be read"),
+        (["clip", "{0}/list", "--share", "2/2", "-o", "{0}/out"], "cannot be read"),
     ],
 )
 def test_impossible_batches_are_refused_before_anything_is_written(tmp_path, capsys, arguments, words):
@@ -310,3 +387,15 @@ def test_impossible_batches_are_refused_before_anything_is_written(tmp_path, cap
         (tmp_path / "a.mp4").write_text("x")
     assert cli.main([argument.format(tmp_path) for argument in arguments]) == 1
     assert re.search(words, capsys.readouterr().err) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("share", ["0/2", "3/2", "1", "1/0", "a/b", "-1/2"])
+def test_a_share_that_is_none_is_refused(tmp_path, capsys, share):
+    with pytest.raises(SystemExit):
+        cli.main(["clip", str(tmp_path), f"--share={share}", "-o", str(tmp_path)])
+    assert "not a share" in capsys.readouterr().err
+
+
+def test_a_share_without_clips_is_done(tmp_path):
+    (tmp_path / "list").write_text("a.mp4\nb.mp4\n")
+    assert cli.main(["clip", str(tmp_path / "list"), "--share", "3/3", "-o", str(tmp_path / "out")]) == 0
