@@ -30,12 +30,14 @@ class FacemimeControl(bpy.types.PropertyGroup):
 class FacemimeRig(bpy.types.PropertyGroup):
     """The controls of a head's rig. `data` is their map in base64, and `shown` the share that they can show.
 
-    `ranked` names the motion for which they were ranked; "" if they were not.
+    `seconds` is how long an evaluation of the rig takes. `ranked` names the motion for which they were ranked; ""
+    if they were not.
     """
 
     controls: CollectionProperty(type=FacemimeControl)
     data: StringProperty(options={"HIDDEN"})
     shown: FloatProperty(options={"HIDDEN"})
+    seconds: FloatProperty(options={"HIDDEN"})
     ranked: StringProperty(options={"HIDDEN"})
     few: IntProperty(
         name="Controls",

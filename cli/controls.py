@@ -8,6 +8,7 @@ import bpy
 
 from ..blender import control_properties
 from ..blender.controls.probing import Learning
+from ..blender.controls.speed import measure_speed
 from ..blender.controls.stored import are_known, rig_group, write_controls
 from ..blender.heads.parts import ensure_bones
 from ..core.rigs.rig_map import RigMap
@@ -27,6 +28,7 @@ def learn(head: bpy.types.Object) -> RigMap:
         progress.finish()
         found = learning.result()
     write_controls(head, found)
+    measure_speed(head, found)
     tell(f"{len(found.controls)} controls found; they can show {round(100.0 * rig_group(head).shown)} %")
     return found
 

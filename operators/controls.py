@@ -11,6 +11,7 @@ from bpy.props import IntProperty, StringProperty
 from ..blender.controls.face_rig import add_face_rig
 from ..blender.controls.probing import Learning
 from ..blender.controls.sheet import ControlSheet
+from ..blender.controls.speed import measure_speed
 from ..blender.controls.stored import rig_group, stored_map, write_controls, write_order
 from ..blender.heads.parts import ensure_bones
 from ..blender.rigs import read_rig
@@ -74,6 +75,7 @@ def learnt(operator: bpy.types.Operator, head: bpy.types.Object) -> Generator[fl
             yield learning.done / max(learning.total, 1)
         found = learning.result()
     write_controls(head, found)
+    measure_speed(head, found)
     share = round(100.0 * rig_group(head).shown)
     report(operator, "{count} controls found; they can show {share} %", count=len(found.controls), share=share)
 

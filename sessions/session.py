@@ -15,6 +15,7 @@ from ..blender.animation.bake import pose_targets_of
 from ..blender.animation.conflicts import overruled, unseen
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
+from ..blender.controls.speed import slowness
 from ..blender.registering import watch
 from ..core.errors import HeadError, Message
 
@@ -91,13 +92,18 @@ class Session:
             return False
 
     def overruled(self) -> list[str]:
-        """Return warnings about what keeps the pose of the heads from being seen."""
+        """Return warnings about what keeps the pose of the heads from being seen, or from being shown in time."""
         if not self.heads:
             return []
         targets = [target for shown in self.heads for target in pose_targets_of(shown.obj, shown.targets)]
         follow = self.heads[0].follow
         hidden = unseen(shown.obj for shown in self.heads)
-        return [*hidden, *overruled(targets, rotation=follow.rotation, translation=follow.translation)]
+        slow = [slowness(shown.obj) for shown in self.heads if shown.controls is not None]
+        return [
+            *hidden,
+            *filter(None, slow),
+            *overruled(targets, rotation=follow.rotation, translation=follow.translation),
+        ]
 
     def rest_copies(self) -> None:
         """Put objects at rest that were duplicated from those that the session moves, if there are other objects than

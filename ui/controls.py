@@ -8,6 +8,7 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
+from ..blender.controls.speed import slowness
 from ..blender.controls.stored import error_curve, has_controls, rig_group
 from ..blender.heads.family import armature_of
 from ..blender.messages import CONTEXT
@@ -70,6 +71,8 @@ class FACEMIME_PT_controls(OnHead, bpy.types.Panel):
         text = _("{count} controls found; they can show {share} %")
         share = round(100.0 * group.shown)
         layout.label(text=text.format(count=len(group.controls), share=share), translate=False)
+        if slow := slowness(head):
+            labels(layout, context, slow, "INFO")
         layout.template_list("FACEMIME_UL_controls", "", group, "controls", group, "active", rows=6)
         column = layout.column()
         split_labels(column)

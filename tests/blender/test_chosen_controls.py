@@ -6,6 +6,7 @@ import pytest
 
 from facemime.blender.controls.arrows import drawn_arrows
 from facemime.blender.controls.probing import learn_controls
+from facemime.blender.controls.speed import measure_speed
 from facemime.blender.controls.stored import error_curve, read_controls, write_controls
 from facemime.core.takes.file import save_take
 from facemime.sessions.show import TakeShow
@@ -106,3 +107,21 @@ def test_the_control_sheet_is_written_and_leaves_the_rig_as_it_was(rigged, tmp_p
     assert state(armature) == before
     assert "Hinge" in page and "Slider" in page and ">c5<" in page and ">c4<" not in page
     assert page.count("data:image/jpeg") >= len(read_controls(head).channels)
+
+
+def test_a_rig_that_is_too_slow_to_be_live_is_said_to_be_baked(rigged):
+    head, armature = rigged
+    before = state(armature)
+    measure_speed(head, read_controls(head))
+    assert 0.0 < head.facemime_rig.seconds < 1.0 and state(armature) == before
+    head.facemime_rig.seconds = 0.002
+    shown = show(head)
+    assert not [text for text in shown.warnings if "too slow" in text]
+    shown.close()
+    head.facemime_rig.seconds = 0.18
+    shown = show(head)
+    assert [text for text in shown.warnings if "takes 180 ms per frame" in text and "Bake to it" in text]
+    bpy.context.scene.facemime.drive_by = "SKIN"
+    shown.follow(bpy.context.scene)
+    assert not [text for text in shown.overruled() if "too slow" in text]
+    shown.close()
