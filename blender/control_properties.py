@@ -23,7 +23,10 @@ class FacemimeControl(bpy.types.PropertyGroup):
     order: IntProperty(options={"HIDDEN"})
     error: FloatProperty(options={"HIDDEN"})
     use: BoolProperty(
-        name="Use", description="Animate this control, in bakes to controls as well as live", default=True
+        name="Use",
+        description="Animate this control, in bakes to controls as well as live",
+        default=True,
+        override={"LIBRARY_OVERRIDABLE"},
     )
 
 
@@ -34,7 +37,7 @@ class FacemimeRig(bpy.types.PropertyGroup):
     if they were not.
     """
 
-    controls: CollectionProperty(type=FacemimeControl)
+    controls: CollectionProperty(type=FacemimeControl, override={"LIBRARY_OVERRIDABLE"})
     data: StringProperty(options={"HIDDEN"})
     shown: FloatProperty(options={"HIDDEN"})
     seconds: FloatProperty(options={"HIDDEN"})

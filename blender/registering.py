@@ -26,7 +26,7 @@ def register_module(module: ModuleType) -> None:
         _translate_in_context(cls)
         bpy.utils.register_class(cls)
     for owner, name, group in getattr(module, "POINTERS", ()):
-        setattr(owner, name, PointerProperty(type=group))
+        setattr(owner, name, PointerProperty(type=group, override={"LIBRARY_OVERRIDABLE"}))
     for name, handler in getattr(module, "HANDLERS", {}).items():
         getattr(bpy.app.handlers, name).append(bpy.app.handlers.persistent(handler))
     for draw, moment in getattr(module, "OVERLAYS", {}).items():

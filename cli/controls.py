@@ -9,7 +9,7 @@ import bpy
 from ..blender import control_properties
 from ..blender.controls.probing import Learning
 from ..blender.controls.speed import measure_speed
-from ..blender.controls.stored import are_known, rig_group, write_controls
+from ..blender.controls.stored import are_known, require_storable, rig_group, write_controls
 from ..blender.heads.parts import ensure_bones
 from ..core.rigs.rig_map import RigMap
 from .console import Progress, tell
@@ -19,6 +19,7 @@ from .stopping import STOPPING
 def learn(head: bpy.types.Object) -> RigMap:
     """Learn the controls of a head, and store them with it; raises HeadError if none moves its face."""
     control_properties.ensure_registered()
+    require_storable(head)
     ensure_bones(head)
     with closing(Learning(head)) as learning:
         progress = Progress(f"Learning the controls of {head.name}", learning.total, unit="channels")

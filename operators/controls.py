@@ -12,7 +12,7 @@ from ..blender.controls.face_rig import add_face_rig
 from ..blender.controls.probing import Learning
 from ..blender.controls.sheet import ControlSheet
 from ..blender.controls.speed import measure_speed
-from ..blender.controls.stored import rig_group, stored_map, write_controls, write_order
+from ..blender.controls.stored import require_storable, rig_group, stored_map, write_controls, write_order
 from ..blender.heads.parts import ensure_bones
 from ..blender.rigs import read_rig
 from ..core.errors import HeadError
@@ -70,6 +70,7 @@ class FACEMIME_OT_add_face_rig(WorksInSteps, OnHead, bpy.types.Operator):
 
 def learnt(operator: bpy.types.Operator, head: bpy.types.Object) -> Generator[float, None, None]:
     """Learn the controls of a head; in any case, each gets back the value that it had."""
+    require_storable(head)
     with closing(Learning(head)) as learning:
         for _step in learning.steps():
             yield learning.done / max(learning.total, 1)
@@ -106,6 +107,7 @@ class FACEMIME_OT_rank_controls(WorksInSteps, OnHead, bpy.types.Operator):
                 "The controls of {name} are not known. Use Learn Controls in the Head panel first.", name=head.name
             )
         motion = face_units(found.unit) if self.take < 0 else motion_of_take(context.scene, head, self.take)
+        require_storable(head)
         order = ControlOrder(found, motion)
         yield from order.steps()
         name = "" if self.take < 0 else takes_store.at(context.scene, self.take).name

@@ -27,13 +27,8 @@ _DIGITS = 5
 
 
 def write_controls(head: bpy.types.Object, found: RigMap) -> None:
-    """Store a map with a head; raises HeadError if the head is linked from another file."""
-    if head.library is not None:
-        raise HeadError(
-            "{name} is linked from another file and cannot be animated here. Make a library override of it "
-            "(Object > Library Override > Make), or make it local.",
-            name=head.name,
-        )
+    """Store a map with a head; raises HeadError as `require_storable`."""
+    require_storable(head)
     group = rig_group(head)
     unused = {item.name for item in group.controls if not item.use}
     group.controls.clear()
@@ -44,6 +39,22 @@ def write_controls(head: bpy.types.Object, found: RigMap) -> None:
         item.name, item.region, item.use = name, region, name not in unused
     group.shown = share_shown(found)
     group.data = base64.b64encode(to_bytes(found, fingerprint(head))).decode()
+
+
+def require_storable(head: bpy.types.Object) -> None:
+    """Raise HeadError if what is learnt cannot be stored with a head, as it is linked from another file."""
+    if head.library is not None:
+        raise HeadError(
+            "{name} is linked from another file and cannot be animated here. Make a library override of it "
+            "(Object > Library Override > Make), or make it local.",
+            name=head.name,
+        )
+    if head.override_library is not None:
+        raise HeadError(
+            "{name} is a library override, with which its controls cannot be stored. Learn them in its own file, which "
+            "then holds for all overrides, or make it local.",
+            name=head.name,
+        )
 
 
 def write_order(head: bpy.types.Object, order: ControlOrder, name: str) -> None:
