@@ -50,7 +50,7 @@ test-share: setup build blenders windows wine programs build/head/.ready
 # The tests in Windows' Python, under wine; PART=streams runs a single part.
 PART ?=
 test-windows: setup viewer wine
-	$(BIN)/python -m pytest tests/blender/test_on_windows.py -k 'windows-$(PART) or part'
+	$(BIN)/python -m pytest tests/blender/test_on_windows.py -k 'windows-$(PART) or folder_of'
 
 # All live and window tests, repeatedly, on a busy machine.
 RUNS ?= 50

@@ -12,17 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.helpers.blenders import ROOT, blender_python
+from tests.helpers.blenders import ROOT, archive, blender_python
 
 CLIP = ROOT / "assets" / "sample" / "sample.mp4"
-
-
-def archive(blender: str, platform: str) -> Path:
-    """Return the newest zip for a Blender, "4.2" or "5.1" and later, and a platform."""
-    found = sorted((ROOT / "dist").glob(f"facemime-*-blender_{blender}-{platform}.zip"))
-    if not found:
-        pytest.skip("the extension is not built: make build")
-    return found[-1]
 
 
 @pytest.mark.thorough

@@ -1,13 +1,14 @@
 """The tests of core, of commands and of operators in Windows' Python with Blender's module for Windows, under wine."""
 
+import json
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
 
-from tests.helpers.blenders import ROOT
-from tests.helpers.wine import run_on_windows, windows_python
+from tests.helpers.blenders import ROOT, archive
+from tests.helpers.wine import as_windows, run_on_windows, windows_blender, windows_python
 
 pytestmark = [
     pytest.mark.thorough,
@@ -91,6 +92,17 @@ def test_every_suite_passes_on_windows(part, suite, reports):
     assert not failed, "\n".join(f"{name}:\n{text}" for name, text in failed.items())
     if not cases:
         pytest.skip("all its tests are thorough")
+
+
+@pytest.mark.parametrize("version", [pytest.param("4.2", id="windows-zip")])
+def test_the_zip_installs_puppets_a_head_and_uninstalls_in_blender_for_windows(version, tmp_path):
+    zipped = as_windows(archive(version, "windows_x64"))
+    program, clip = (as_windows(ROOT / path) for path in ("tests/blender/extension_run.py", "assets/sample/sample.mp4"))
+    status, said = run_on_windows([windows_blender(tmp_path), program, zipped, clip], tmp_path, 900)
+    measured = json.loads(next((line for line in said.splitlines() if line.startswith("{")), "{}"))
+    assert status == 0 and measured, said[-8000:]
+    assert measured["vertices"] == 1781 and measured["units"] == 52 and measured["received"] == 3
+    assert 3 <= measured["baked"] <= 64 and measured["largest"] > 0.9 and measured["frames"] > 200
 
 
 def test_every_folder_of_the_core_has_a_part():

@@ -27,3 +27,11 @@ def unpack_wheels(python: Path, folder: Path) -> None:
     for wheel in (path for path in (ROOT / "wheels").glob("*.whl") if any(mark in path.name for mark in marks)):
         with zipfile.ZipFile(wheel) as archive:
             archive.extractall(folder)
+
+
+def archive(blender: str, platform: str) -> Path:
+    """Return the newest zip for a Blender, "4.2" or "5.1" and later, and a platform."""
+    found = sorted((ROOT / "dist").glob(f"facemime-*-blender_{blender}-{platform}.zip"))
+    if not found:
+        pytest.skip("the extension is not built: make build")
+    return found[-1]

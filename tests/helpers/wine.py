@@ -17,24 +17,51 @@ _FILES = ("python.exe", "python3.dll", "python311.dll", "vcruntime140.dll", "vcr
 """All that an environment needs of its own."""
 _ENDING = 5.0
 """Seconds in which the rest of the output of a program that has ended is read."""
+_OF_BLENDER = (
+    "bpy",
+    "numpy",
+    "numpy.libs",
+    "requests",
+    "urllib3",
+    "idna",
+    "certifi",
+    "charset_normalizer",
+    "zstandard",
+)
 _QUIET = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
 
 
 def windows_python(folder: Path) -> Path:
     """Make an environment in a folder, in which this clone is installed, and return its Python."""
-    place = _place()
-    environment = folder / "environment"
-    packages = environment / "Lib" / "site-packages"
-    packages.mkdir(parents=True)
-    (environment / "Scripts").mkdir()
-    for name in _FILES:
-        shutil.copyfile(place / "python" / name, environment / "Scripts" / name)
-    home = as_windows(place / "python")
-    (environment / "pyvenv.cfg").write_text(f"home = {home}\ninclude-system-site-packages = true\n")
+    python = _environment(folder, "true")
     (folder / "source").mkdir()
     (folder / "source" / "facemime").symlink_to(ROOT)
-    (packages / "facemime.pth").write_text(as_windows(folder / "source") + "\n")
+    (_packages(folder / "environment") / "facemime.pth").write_text(as_windows(folder / "source") + "\n")
+    return python
+
+
+def windows_blender(folder: Path) -> Path:
+    """Make an environment in a folder, with what Blender has and no more, and return its Python."""
+    python = _environment(folder, "false")
+    for name in _OF_BLENDER:
+        (_packages(folder / "environment") / name).symlink_to(_packages(_place() / "python") / name)
+    return python
+
+
+def _environment(folder: Path, everything: str) -> Path:
+    """Make an environment, with all packages or none, and return its Python."""
+    place, environment = _place() / "python", folder / "environment"
+    _packages(environment).mkdir(parents=True)
+    (environment / "Scripts").mkdir()
+    for name in _FILES:
+        shutil.copyfile(place / name, environment / "Scripts" / name)
+    lines = f"home = {as_windows(place)}\ninclude-system-site-packages = {everything}\n"
+    (environment / "pyvenv.cfg").write_text(lines)
     return environment / "Scripts" / "python.exe"
+
+
+def _packages(python: Path) -> Path:
+    return python / "Lib" / "site-packages"
 
 
 def as_windows(path: Path) -> str:
