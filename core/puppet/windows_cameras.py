@@ -55,8 +55,12 @@ def why_refused() -> str:
 if sys.platform == "win32":
     import winreg
 
+    # Methods of COM's objects, by their numbers in the tables of their interfaces.
     _RELEASE = 2
-    """Number of the method of every object of COM that gives it back."""
+    _CREATE_CLASS_ENUMERATOR, _NEXT, _BIND_TO_STORAGE, _READ = 3, 3, 9, 3
+    """Of ICreateDevEnum, IEnumMoniker, IMoniker and IPropertyBag."""
+    _GET_ALLOCATED_STRING, _SET_GUID = 13, 24
+    """Of IMFAttributes."""
     _IN_PROCESS = 1
     _MF_VERSION = 0x00020070
     _ENUMERATOR = "{62BE5D10-60EB-11D0-BD3B-00A0C911CE86}"
@@ -77,13 +81,16 @@ if sys.platform == "win32":
         with _components(), _held() as system, _held() as cameras:
             ask = ctypes.oledll.ole32.CoCreateInstance
             ask(_guid(_ENUMERATOR), None, _IN_PROCESS, _guid(_CREATE_ENUMERATOR), ctypes.byref(system))
-            _call(system, 3, _guid(_VIDEO_INPUT), ctypes.byref(cameras), 0)
+            _call(system, _CREATE_CLASS_ENUMERATOR, _guid(_VIDEO_INPUT), ctypes.byref(cameras), 0)
             names = []
             while cameras:
                 with _held() as camera, _held() as properties:
-                    if _call(cameras, 3, 1, ctypes.byref(camera), None):
+                    if _call(cameras, _NEXT, 1, ctypes.byref(camera), None):
                         break
-                    _call(camera, 9, None, None, _guid(_PROPERTY_BAG), ctypes.byref(properties))
+                    try:
+                        _call(camera, _BIND_TO_STORAGE, None, None, _guid(_PROPERTY_BAG), ctypes.byref(properties))
+                    except OSError:  # OpenCV leaves it out, too
+                        continue
                     names.append(_property(properties, "FriendlyName"))
             return names
 
@@ -93,7 +100,7 @@ if sys.platform == "win32":
             platform.MFStartup(_MF_VERSION, 0)
             try:
                 platform.MFCreateAttributes(ctypes.byref(wanted), 1)
-                _call(wanted, 24, _guid(_SOURCE_TYPE), _guid(_VIDEO_CAPTURE))
+                _call(wanted, _SET_GUID, _guid(_SOURCE_TYPE), _guid(_VIDEO_CAPTURE))
                 cameras, count = ctypes.POINTER(ctypes.c_void_p)(), ctypes.c_uint()
                 listing.MFEnumDeviceSources(wanted, ctypes.byref(cameras), ctypes.byref(count))
                 names = [_attribute(ctypes.c_void_p(cameras[number])) for number in range(count.value)]
@@ -157,7 +164,7 @@ if sys.platform == "win32":
 
     def _property(bag: ctypes.c_void_p, name: str) -> str:
         value = _Variant()
-        _call(bag, 3, ctypes.c_wchar_p(name), ctypes.byref(value), None)
+        _call(bag, _READ, ctypes.c_wchar_p(name), ctypes.byref(value), None)
         text = str(value.text)
         ctypes.windll.oleaut32.VariantClear(ctypes.byref(value))
         return text
@@ -166,7 +173,7 @@ if sys.platform == "win32":
         """Return the name of a camera of Media Foundation, and release it."""
         try:
             text, length = ctypes.c_wchar_p(), ctypes.c_uint()
-            _call(camera, 13, _guid(_FRIENDLY_NAME), ctypes.byref(text), ctypes.byref(length))
+            _call(camera, _GET_ALLOCATED_STRING, _guid(_FRIENDLY_NAME), ctypes.byref(text), ctypes.byref(length))
             name = str(text.value)
             ctypes.windll.ole32.CoTaskMemFree(text)
             return name
