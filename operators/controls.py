@@ -9,6 +9,7 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
 from ..blender.controls.face_rig import add_face_rig
+from ..blender.controls.loose import loose_parts
 from ..blender.controls.probing import Learning
 from ..blender.controls.sheet import ControlSheet
 from ..blender.controls.speed import measure_speed
@@ -79,6 +80,8 @@ def learnt(operator: bpy.types.Operator, head: bpy.types.Object) -> Generator[fl
     measure_speed(head, found)
     share = round(100.0 * rig_group(head).shown)
     report(operator, "{count} controls found; they can show {share} %", count=len(found.controls), share=share)
+    if loose := loose_parts(head):
+        report(operator, loose, "WARNING")
 
 
 class FACEMIME_OT_rank_controls(WorksInSteps, OnHead, bpy.types.Operator):

@@ -77,11 +77,11 @@ class FACEMIME_PT_controls(OnHead, bpy.types.Panel):
         column = layout.column()
         split_labels(column)
         column.row().prop(context.scene.facemime_steps, "arrows", expand=True)
-        _draw_few(layout, group, head)
+        _draw_few(layout, context, group, head)
         layout.operator("facemime.export_control_sheet", icon="EXPORT")
 
 
-def _draw_few(layout: bpy.types.UILayout, group: Any, head: bpy.types.Object) -> None:
+def _draw_few(layout: bpy.types.UILayout, context: bpy.types.Context, group: Any, head: bpy.types.Object) -> None:
     """Draw how many controls are used, and the curve of the error."""
     layout.menu("FACEMIME_MT_rank_controls", icon="CURVE_DATA")
     if not (errors := error_curve(head)):
@@ -93,7 +93,7 @@ def _draw_few(layout: bpy.types.UILayout, group: Any, head: bpy.types.Object) ->
     text = _("{count} controls leave {error:.1f} % of the motion in {name}")
     name = group.ranked or _("ARKit's expressions")
     shown = text.format(count=number, error=100.0 * errors[number], name=name)
-    layout.label(text=shown, translate=False)
+    labels(layout, context, shown)
 
 
 def _used(group: Any) -> int:

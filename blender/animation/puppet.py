@@ -22,6 +22,7 @@ from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of
+from ..controls.loose import loose_parts
 from ..fcurves import CharacterAction
 from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
@@ -121,7 +122,8 @@ def puppet_head(
             parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
     unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow)]
-    notes = tuple(filter(None, [_what_was_muted(silenced), *unseen_for, outside_range(scene, shown)]))
+    loose = loose_parts(obj) if bake.keys == CONTROLS else ""
+    notes = tuple(filter(None, [_what_was_muted(silenced), *unseen_for, loose, outside_range(scene, shown)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))
     added = bake.clean if clean is not None and plan.keys else 0.0
     return PuppetReport(

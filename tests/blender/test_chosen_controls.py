@@ -4,10 +4,15 @@ import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.controls.arrows import drawn_arrows
+from facemime.blender.controls.loose import loose_parts
 from facemime.blender.controls.probing import learn_controls
 from facemime.blender.controls.speed import measure_speed
 from facemime.blender.controls.stored import error_curve, read_controls, write_controls
+from facemime.blender.heads.new_heads import add_head
+from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.sessions.show import TakeShow
 from facemime.sessions.start import follow_settings, start_session
@@ -125,3 +130,17 @@ def test_a_rig_that_is_too_slow_to_be_live_is_said_to_be_baked(rigged):
     shown.follow(bpy.context.scene)
     assert not [text for text in shown.overruled() if "too slow" in text]
     shown.close()
+
+
+def test_parts_that_the_rig_leaves_behind_are_named(rigged):
+    head, armature = rigged
+    assert "Eye.L, Eye.R" in loose_parts(head) and "stay behind" in loose_parts(head)
+    report = puppet_head(
+        bpy.context.scene, head, performance(), PuppetSettings(bake=BakeSettings(keys="controls"), neutral=0.0)
+    )
+    assert loose_parts(head) in report.warnings
+    for name in ("Eye.L", "Eye.R"):
+        eye = bpy.data.objects[name]
+        eye.parent, eye.parent_type, eye.parent_bone = armature, "BONE", "Skull"
+    assert loose_parts(head) == ""
+    assert loose_parts(add_head(bpy.context)) == ""
