@@ -21,10 +21,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from facemime.core.drive.driver import drive_take
+from facemime.core.drive.drive_settings import DriveSettings
+from facemime.core.drive.driver import HeadMotion, drive_take
 from facemime.core.face.landmarks import IBUG68_INDICES, from_ibug, outer_eye_distance
 from facemime.core.files.capture import VideoSource
-from facemime.core.heads.rig import built_in_head
+from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import load_take, save_take
@@ -99,11 +100,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         fps = float(take.info.get("fps", 25.0))
         given = clip.neutral[0] / fps if arguments.given_neutral and clip.neutral is not None else None
         performance = Performance.of(take, PuppetSettings(neutral=given, smoothing=0.0))
-        motion = drive_take(performance.driver(rig), take)
-        rest = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
-        shown = np.full((len(take), *rest.shape), np.nan)
-        shown[take.found] = rest + motion.vertices[:, rig.landmarks]
-        avatar = features(shown, rest)
+        avatar, motion = shown_features(rig, performance, take)
         wrong = score(clip, avatar, scores["avatar"])
         rows.append(
             (clip.path.stem, performance.neutral.start, _labelled(clip, fps), *_turn(clip, take, motion.rotation))
@@ -221,6 +218,29 @@ def _shares(scores: Mapping[str, Score]) -> dict[str, tuple[float, float]]:
     """Shares of right answers by dimension, and of all."""
     every = Score([r for s in scores.values() for r in s.order], [r for s in scores.values() for r in s.sign])
     return {name: (float(np.mean(s.order)), float(np.mean(s.sign))) for name, s in {**scores, "all": every}.items()}
+
+
+def shown_features(rig: HeadRig, performance: Performance, take: Take) -> tuple[Features, HeadMotion]:
+    """Features of the avatar in each frame of a take, NaN without a face, and its motion."""
+    motion = drive_take(performance.driver(rig), take)
+    rest = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    shown = np.full((len(take), *rest.shape), np.nan)
+    shown[take.found] = rest + motion.vertices[:, rig.landmarks]
+    return features(shown, rest), motion
+
+
+def by_labels(folder: Path, takes: Path, options: DriveSettings) -> dict[str, tuple[float, float]]:
+    """Shares of pairs in order and of frames on the right side of rest, by dimension and for all, by hand labels.
+
+    `folder` has labels.csv, neutral.csv and clips.
+    """
+    takes.mkdir(parents=True, exist_ok=True)
+    tracker, rig, scores = FaceTracker.load(), built_in_head(), dict[str, Score]()
+    for clip in read_clips(folder / "labels.csv", folder / "neutral.csv", folder / "clips"):
+        take = take_of(clip.path, tracker, takes)
+        performance = Performance.of(take, PuppetSettings(smoothing=0.0, drive=options))
+        score(clip, shown_features(rig, performance, take)[0], scores)
+    return _shares(scores)
 
 
 def take_of(path: Path, tracker: FaceTracker, folder: Path) -> Take:

@@ -28,7 +28,8 @@ ERRORS = "Error in 500 mixtures of known expressions"
 KEYS = {
     "errors": ERRORS,
     "openings": "Openings in the same mixtures",
-    "clip": "Avatar and performer over the sample clip",
+    "clip": "Avatar and true performer over the sample clip",
+    "labels": "Avatar and hand labels of five people, private data",
     "twelve": "Error with fewer control points",
     "greedy": "Control points that the sample clip needs",
     "speed": "From the clip to the shape key, 1,781 vertices, one core",
