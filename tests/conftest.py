@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import re
 import signal
 from collections.abc import Iterator
@@ -10,11 +11,14 @@ import numpy as np
 import pytest
 
 from facemime.core.takes.face_space import FaceSpace
+from tests.helpers.owners import UNDER_WINE
 
 # A shell ignores Ctrl-C for background processes, and so would the commands that tests interrupt.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+_DENORMALS = 0x03000000
+"""_MCW_DN of Microsoft's C library."""
 _PLACE = re.compile(r"\b(4\.2|4\.5|5\.0|5\.2|trixie|sid|windows-\w+)\b")
 """Versions of Blender, platforms whose Blender has a window, and what runs in one process on Windows."""
 
@@ -46,6 +50,12 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     left = [item for item in items if item.get_closest_marker("thorough") and group(item) not in kept]
     config.hook.pytest_deselected(items=left)
     items[:] = [item for item in items if item not in set(left)]
+
+
+def pytest_runtest_teardown() -> None:
+    """Let numbers below the normal range be numbers again, as wine does not after an exception of OpenCV's networks."""
+    if UNDER_WINE:
+        ctypes.CDLL("ucrtbase")._controlfp_s(ctypes.byref(ctypes.c_uint()), 0, _DENORMALS)
 
 
 @pytest.fixture(scope="session", autouse=True)
