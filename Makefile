@@ -68,7 +68,7 @@ test-gui: setup build windows
 
 # The pictures of the README and the tutorials, which a window test takes; look at them before you commit them.
 pictures: setup build windows programs demo
-	$(BIN)/python -m pytest tests/gui/test_pictures.py tests/gui/test_correct_tutorial.py -k 'not trixie'
+	$(BIN)/python -m pytest tests/gui/test_pictures.py tests/gui/test_correct_tutorial.py tests/gui/test_rig_tutorial.py -k 'not trixie'
 	cp build/gui/pictures/*.png docs/tutorials/images
 	$(BIN)/python tools/moving_picture.py build/demo/demo.mp4 docs/images/demo.webp
 	$(BIN)/facemime puppet assets/sample/sample.mp4 --head assets/facegen/Jane.tri -o build/demo/facegen.blend --sheet docs/images/facegen.jpg
