@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.heads.rig import HeadRig, Part
 from ...core.numeric.arrays import FloatArray, IntArray
-from ...core.rigs.symmetry import mirror_images, symmetry_of
+from ...core.rigs.symmetry import face_images, symmetry_of
 from ..characters import members_of, objects_of, read_bones
 from ..frames import from_blender
 from ..meshes import mesh_of, posed_bones, rest_bones
@@ -164,7 +164,7 @@ def sampled_vertices(rig: HeadRig) -> IntArray:
     Of a symmetric face, the others have their mirror images among them.
     """
     face = np.flatnonzero(rig.region_weights.sum(axis=0) > 0.0)
-    images = mirror_images(rig.vertices, rig.landmarks, face)
+    images = face_images(rig.vertices, rig.landmarks, face)
     other = np.isin(face, rig.landmarks, invert=True)
     if images is None:
         chosen = _spread(face[other], _OTHERS)

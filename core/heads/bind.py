@@ -28,7 +28,7 @@ from ..face.landmarks import (
     UPPER_LIP,
     from_ibug,
 )
-from ..mesh.surface import NearestPoints, SurfaceGraph, border_twins, islands, lips_joined
+from ..mesh.surface import SurfaceGraph, border_twins, islands, lips_joined
 from ..numeric.arrays import FloatArray, IntArray, as_points
 from .checks import Finding, resting_findings
 from .fit_template import NOT_FOUND, fit_template
@@ -36,6 +36,7 @@ from .portrait import Paint
 from .proposal import propose_regions
 from .rig import HeadRig, jaw_pivot_of
 from .sight import Sight
+from .symmetry import even_landmarks, mirror_of
 from .template import Surface, Template, load_template
 
 MARKS = messages(
@@ -79,8 +80,6 @@ _DISTINCT_BY_SHAPE = 0.95
 """Share of landmarks that need a vertex of their own if a face is known by its shape alone."""
 _FACING = 0.3
 """Cosine of the angle between normals above which a vertex faces roughly the same way."""
-_SYMMETRY = 1e-3
-"""Distance, in outer-eye distances, within which vertices count as mirror images."""
 
 
 @dataclass(frozen=True)
@@ -236,9 +235,9 @@ def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint
     landmarks[list(picked)] = list(picked.values())
     landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
     # 5. Symmetry, on a mesh that is its own mirror image.
-    mirror = _mirror(surface.places, rotation, surface.places[landmarks], unit)
+    mirror = mirror_of(surface.places, rotation, surface.places[landmarks], unit)
     if mirror is not None:
-        landmarks = _symmetric(landmarks, mirror, surface.places, bent[template.landmarks], picked)
+        landmarks = even_landmarks(landmarks, mirror, surface.places, bent[template.landmarks], picked)
         landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
     if len(set(landmarks.tolist())) < (_DISTINCT if sight is not None or picked else _DISTINCT_BY_SHAPE) * N_LANDMARKS:
         raise HeadError(TOO_COARSE if sight is not None or picked or len(places) < _ENOUGH else NOT_FOUND)
@@ -320,40 +319,6 @@ def _on_own_lip(
             if len(lip := np.flatnonzero(within)):
                 moved[i] = lip[np.argmin(np.linalg.norm(graph.vertices[lip] - wanted[i], axis=1))]
     return moved
-
-
-def _mirror(places: FloatArray, rotation: FloatArray, points: FloatArray, unit: float) -> NDArray[np.intp] | None:
-    """Find the mirror image of each vertex, (V,), if the mesh is symmetric about the middle of the face; else None."""
-    across = rotation[:, 0]
-    axis = int(np.argmax(np.abs(across)))
-    if abs(across[axis]) < 0.999:
-        return None
-    middle = float(np.median(((points + points[MIRROR]) / 2.0)[:, axis]))
-    other, index = places.copy(), NearestPoints(places)
-    for centre in (middle, 0.0):
-        other[:, axis] = 2.0 * centre - places[:, axis]
-        found, squared = index.query(other)
-        if float((squared[:, 0] < (_SYMMETRY * unit) ** 2).mean()) > 0.95:
-            return found[:, 0]
-    return None
-
-
-def _symmetric(
-    landmarks: IntArray, mirror: NDArray[np.intp], places: FloatArray, wanted: FloatArray, picked: Mapping[int, int]
-) -> NDArray[np.intp]:
-    """Mirror the better side of each pair of landmarks, and move those in the middle to the middle of the mesh."""
-    even = np.array(landmarks, dtype=np.intp)
-    middle = np.flatnonzero(mirror == np.arange(len(mirror)))
-    off = np.linalg.norm(places[landmarks] - wanted, axis=1)
-    off[list(picked)] = -1.0
-    for i, j in enumerate(MIRROR.tolist()):
-        if i == j and len(middle) and i not in picked:
-            even[i] = middle[np.argmin(np.linalg.norm(places[middle] - wanted[i], axis=1))]
-        elif i < j:
-            better, other = (i, j) if off[i] <= off[j] else (j, i)
-            if other not in picked:
-                even[other] = mirror[landmarks[better]]
-    return even
 
 
 def _distinct(graph: SurfaceGraph, landmarks: IntArray, picked: Mapping[int, int]) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..face.landmarks import MIRROR, outer_eye_distance, symmetry_plane
-from ..mesh.surface import NearestPoints
+from ..heads.symmetry import mirror_images
 from ..numeric.arrays import FloatArray, IntArray
 from .rig_map import Probe
 
@@ -34,24 +34,20 @@ class Symmetry:
         return np.asarray(images - 2.0 * (images @ self.across)[..., None] * self.across)
 
 
-def mirror_images(vertices: FloatArray, landmarks: IntArray, face: IntArray) -> NDArray[np.intp] | None:
+def face_images(vertices: FloatArray, landmarks: IntArray, face: IntArray) -> NDArray[np.intp] | None:
     """Find the mirror image of each vertex of a face, (F,), among them; None if the face is not symmetric.
 
     `vertices` is (V, 3), and `face` has the indices of those of the face.
     """
     points = vertices[landmarks]
-    centre, across = symmetry_plane(points)
-    own = vertices[face]
-    mirrored = own - 2.0 * ((own - centre) @ across)[:, None] * across
-    found, squared = NearestPoints(own).query(mirrored)
-    near = squared[:, 0] < (_EVEN * outer_eye_distance(points)) ** 2
-    return np.asarray(face[found[:, 0]], dtype=np.intp) if near.mean() > _MOST else None
+    images, off = mirror_images(vertices[face], *symmetry_plane(points))
+    return np.asarray(face[images]) if (off < _EVEN * outer_eye_distance(points)).mean() > _MOST else None
 
 
 def symmetry_of(vertices: FloatArray, landmarks: IntArray, sample: IntArray) -> Symmetry | None:
     """Return the symmetry of sampled vertices (S,), of which the first are the landmarks; None if there is none."""
     others = sample[len(landmarks) :]
-    images = mirror_images(vertices, landmarks, others)
+    images = face_images(vertices, landmarks, others)
     if images is None:
         return None
     places = {int(vertex): row for row, vertex in enumerate(others.tolist(), start=len(landmarks))}

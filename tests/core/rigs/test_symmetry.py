@@ -6,7 +6,7 @@ import pytest
 from facemime.core.heads.rig import built_in_head
 from facemime.core.rigs.rig_map import LOCATION, Probe, RigChannel, map_of
 from facemime.core.rigs.solver import RigSolver
-from facemime.core.rigs.symmetry import even_probes, mirror_images, symmetry_of
+from facemime.core.rigs.symmetry import even_probes, face_images, symmetry_of
 
 HEAD = built_in_head()
 UNIT = HEAD.eye_distance
@@ -15,7 +15,7 @@ UNIT = HEAD.eye_distance
 @pytest.fixture(scope="module")
 def sample():
     face = np.flatnonzero(HEAD.region_weights.sum(axis=0) > 0.0)
-    images = mirror_images(HEAD.vertices, HEAD.landmarks, face)
+    images = face_images(HEAD.vertices, HEAD.landmarks, face)
     half = np.setdiff1d(face[::8], HEAD.landmarks)
     others = np.setdiff1d(np.union1d(half, images[np.searchsorted(face, half)]), HEAD.landmarks)
     return np.concatenate([HEAD.landmarks, others])
