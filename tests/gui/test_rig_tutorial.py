@@ -103,7 +103,7 @@ def learn(studio: Studio) -> None:
     blender.click(box.x + 0.85 * (box.width - sidebar.unit), y)
     blender.redraw()
     assert blender.get("bpy.context.scene.facemime_steps.arrows") == "ALL"
-    arrows = studio.picture("controls", studio.shot("arrows"))
+    arrows = middle(sidebar, studio.shot("arrows"))
     assert min(coloured(arrows, *hues) for hues in ((170, 180), (42, 52), (98, 108))) > 2e-4, "arrows of each axis"
 
 
