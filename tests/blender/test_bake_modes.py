@@ -92,6 +92,7 @@ def test_every_bake_plays_back_the_live_vertices_within_the_reported_error(optio
     assert (has_action, tracks) == ((False, [TRACK]) if nla else (True, []))
 
 
+@pytest.mark.thorough
 def test_a_limit_on_keys_is_kept_and_increases_the_error():
     head = add_head(bpy.context)
     one, two = (bake(head, keys="new", max_keys=count) for count in (1, 2))
@@ -130,6 +131,7 @@ def test_named_keys_show_all_of_the_motion_with_residual_keys_in_a_group_of_thei
     assert named.worst_error / 2 < largest_error(head, both) <= both.named_error + 1e-4
 
 
+@pytest.mark.thorough
 def test_a_character_has_one_action_where_actions_have_slots():
     head = add_head(bpy.context, units=True)
     for _ in range(2):
@@ -476,6 +478,7 @@ def _jaw_and_brows(head, frames=(10, 30, 50)):
     return np.array(found)
 
 
+@pytest.mark.thorough
 def test_strengths_of_a_head_scale_the_last_bake_at_once_and_the_next_by_their_keyframes():
     head = add_head(bpy.context, units=True)
     bake(head, keys="automatic", whole_frames=True)

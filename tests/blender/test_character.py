@@ -239,6 +239,7 @@ def test_the_animation_of_a_bone_plays_again_when_a_bake_is_removed():
     np.testing.assert_allclose(_turn_at(armature, 40)[:2], (0.9, 0.3), atol=1e-6)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("strip", [False, True])
 def test_a_take_is_added_to_the_animation_of_a_bone_on_request(strip):
     head, armature = _bound_with_own_animation(driven=False)

@@ -79,6 +79,7 @@ def test_a_head_in_several_scenes_is_exported_once_with_the_clip_of_its_scene(tm
     assert [clip["name"] for clip in stated["animations"]] == [bpy.context.scene.name]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("hide", HIDING)
 def test_gltf_holds_every_mesh_of_a_character_and_its_armature_however_they_are_hidden(hide, tmp_path):
     head, _ = bind_character(make_character(rig=True)["head"])

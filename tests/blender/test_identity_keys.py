@@ -62,6 +62,7 @@ def test_a_cache_contains_the_keys_of_the_identity(keep, tmp_path):
         assert np.abs(shape_at(head, frame) - shape).max() < 2e-3
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("keep", [lambda block: None, _constant_key, _driver])
 def test_a_sampled_take_does_not_take_the_identity_for_an_expression(keep):
     takes = []

@@ -158,6 +158,7 @@ def test_a_character_bound_by_keys_is_baked_to_them_by_default(keyed):
     assert report.worst_error < 0.01 and all(key.name.startswith("Facemime ") for key in own_keys(head))
 
 
+@pytest.mark.thorough
 def test_the_size_and_neck_of_a_keyed_character_are_as_by_landmarks(keyed):
     objects = make_character(rig=True)
     head, _ = bind_character(objects["head"])
@@ -240,6 +241,7 @@ def key_names() -> dict[str, list[str]]:
     return {obj.name: list(obj.data.shape_keys.key_blocks.keys()) for obj in keyed}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("built_in", first_of([False, True]))
 def test_fbx_keeps_the_names_and_order_of_made_keys_on_all_meshes(built_in, tmp_path):
     if built_in:
@@ -266,6 +268,7 @@ def offsets_of(head: bpy.types.Object, name: str) -> np.ndarray:
     return points[0] - points[1]
 
 
+@pytest.mark.thorough
 def test_takes_in_the_list_refine_arkits_keys_unless_that_is_off(kept, capsys):
     head = kept("Refined", lambda: [add_head(bpy.context)])[0]
     made = {}
@@ -290,6 +293,7 @@ def test_a_take_that_is_missing_is_reported_and_the_keys_are_made_without_it(kep
     assert "is missing" in said and "52 shape keys added, 0 kept" in said and "refined" not in said
 
 
+@pytest.mark.thorough
 def test_the_command_refines_arkits_keys_by_takes_and_no_others(tmp_path):
     save_take(performance(), tmp_path / "take.facetake")
     add_head(bpy.context)

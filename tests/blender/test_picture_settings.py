@@ -158,6 +158,7 @@ def test_landmarks_are_drawn_on_the_face_whatever_the_pixels_aspect():
     np.testing.assert_allclose(draw_landmarks(scene, head, 96), wanted, atol=3)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shown", [True, False])
 def test_each_picture_shows_the_head_as_animation_moves_it_at_its_frame(shown):
     head, scene = add_head(bpy.context), bpy.context.scene

@@ -115,6 +115,7 @@ def test_a_whole_head_with_a_mirror_is_found(head):
     check_found(head, places)
 
 
+@pytest.mark.thorough
 def test_a_half_head_that_nodes_complete_names_their_modifier(head):
     head, _ = head
     halve(head)

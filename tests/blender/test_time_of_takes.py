@@ -142,6 +142,7 @@ def test_a_take_keeps_its_own_time_after_the_start():
     assert keyed(head)[0] == pytest.approx(151.0)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(UNDER_WINE, reason="wine draws no pictures")
 def test_a_character_of_another_scene_gets_the_rate_and_range_of_its_own(tmp_path):
     own, edit = bpy.context.scene, bpy.data.scenes.new("Edit")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 import contextlib
 import hashlib
 import io
@@ -217,9 +216,8 @@ _PRESET = {
 
 
 def _record() -> Any:
-    picture = base64.b64encode(_picture(".jpg")).decode()
     record = {"clip": "a.mp4", "outputs": ["a-1.blend"], "frames": 9, "found": 8, "length": 0.4, "seconds": 2.5}
-    return record | {"confidence": [0.5, 1.0], "worst": [0.1], "thumbnails": [picture]}
+    return record | {"confidence": [0.5, 1.0], "worst": [0.1], "pictures": ["a-1-1.jpg"]}
 
 
 def _read_record(text: str) -> None:

@@ -10,6 +10,7 @@ from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import numpy as np
+import pytest
 from playwright.sync_api import Page
 
 from facemime.core.drive.driver import HeadDriver
@@ -37,6 +38,7 @@ def published(folder: Path) -> Iterator[str]:
             thread.join()
 
 
+@pytest.mark.thorough
 def test_a_static_page_shows_what_the_relay_passes_on_and_returns_after_a_restart(tmp_path, open_page):
     site, (driver, looks) = new_site(tmp_path), built_in()
     with closing(RelaySender(site, [looks])) as sender, published(site.public) as address:

@@ -38,6 +38,7 @@ def test_a_take_moves_the_head_on_the_page_until_ctrl_c(take, tmp_path):
     assert "Anyone who has it can watch" in said and "█" not in said
 
 
+@pytest.mark.thorough
 @needs_posix
 def test_hundreds_of_idle_connections_leave_file_descriptors_and_a_page_that_loads(take):
     """As many as a stranger likes, with as few descriptors as macOS gives to Blender."""

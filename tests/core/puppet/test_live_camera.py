@@ -88,6 +88,7 @@ def test_a_hanging_driver_is_ended_and_reported(camera, tmp_path):
     assert source._process is None
 
 
+@pytest.mark.thorough
 def test_a_camera_is_opened_in_another_way_before_it_counts_as_hanging(camera, tmp_path, monkeypatch):
     folder = Path(camera_module.__file__).parent
     monkeypatch.setattr(camera_module, "ways_to_open", lambda text: ["7", "dshow1"])

@@ -69,6 +69,7 @@ def check(take, amounts=AMOUNTS):
     np.testing.assert_allclose(take.pose[take.found, 2], -seen / 2.0, atol=3e-3)
 
 
+@pytest.mark.thorough
 def test_numbered_meshes_become_a_take(tmp_path):
     for number, amount in enumerate(AMOUNTS, 7):
         write_obj(tmp_path / f"face_{number:04}.obj", moved(amount))
@@ -156,6 +157,7 @@ def turned(amounts) -> np.ndarray:
     return np.array([[0.0, amount / 2.0, 0.0] for amount in amounts])
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     "names",
     [
@@ -180,6 +182,7 @@ def test_parameters_of_flame_become_a_take(tmp_path, monkeypatch, names):
     check(load_take(output))
 
 
+@pytest.mark.thorough
 def test_the_joints_of_flame_turn_the_eyes_and_the_jaw_about_themselves(tmp_path):
     model = {name: getattr(a, "toarray", lambda a=a: a)() for name, a in flame().items()}
     model["weights"][: STARTS[0]] = np.eye(5)[2]  # the jaw carries all skin, and turns it as the root would
@@ -193,6 +196,7 @@ def test_the_joints_of_flame_turn_the_eyes_and_the_jaw_about_themselves(tmp_path
     np.testing.assert_allclose(take.gaze[:, 1], -np.array(AMOUNTS) / 2.0, atol=3e-3)
 
 
+@pytest.mark.thorough
 def test_numbered_parameters_with_a_frame_each_become_a_take(tmp_path, monkeypatch):
     write_flame(tmp_path / "flame.pkl", monkeypatch)
     (tmp_path / "flame_param").mkdir()
