@@ -73,6 +73,7 @@ pictures: setup build windows programs demo
 	$(BIN)/python tools/moving_picture.py build/demo/demo.mp4 docs/images/demo.webp
 	$(BIN)/facemime puppet assets/sample/sample.mp4 --head assets/facegen/Jane.tri -o build/demo/facegen.blend --sheet docs/images/facegen.jpg
 	video=../shared/data/videos/WolfgangLanger_Pexels.mp4; [ ! -f $$video ] || $(BIN)/python tools/real_picture.py $$video assets/facegen/Jane.tri docs/images/real.jpg
+	$(BIN)/python tools/release_pictures.py docs/release
 
 # Ten minutes of puppeteering in Blender's window, to find growing memory and leftover threads.
 soak: setup build windows

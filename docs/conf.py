@@ -26,7 +26,7 @@ extensions = [
     "repository",
 ]
 templates_path = ["_templates"]
-exclude_patterns = ["_*", "**/_*"]
+exclude_patterns = ["_*", "**/_*", "release/*"]
 default_role = "literal"
 
 myst_enable_extensions = ["colon_fence", "deflist", "dollarmath"]
