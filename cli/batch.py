@@ -14,6 +14,7 @@ from pathlib import Path
 from ..core.errors import FacemimeError, SourceError
 from ..core.files.capture import VideoSource, read_image
 from ..core.files.locks import lock_of, sweep
+from ..core.files.pages import jpeg_of
 from ..core.files.writing import check_writable, locked
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, load_take
@@ -33,7 +34,7 @@ from .options import (
     whole_number,
 )
 from .puppet import run_puppet
-from .report import Entry, Report, jpeg_of, sheet_for_report
+from .report import Entry, Report, sheet_for_report
 from .runners import DaskRunner, LocalRunner, Runner
 from .stopping import INTERRUPTED
 

@@ -185,7 +185,7 @@ class Checksums:
     def _read(self, file: Path) -> None:
         try:
             lines = file.read_text(encoding="utf-8", errors="surrogateescape").splitlines()
-        except OSError:  # there is none yet
+        except OSError:  # not written yet
             return
         for line in lines:
             with suppress(ValueError, TypeError):

@@ -7,7 +7,6 @@ so that the memory does not grow with the number of clips.
 
 from __future__ import annotations
 
-import base64
 import json
 import time
 from collections import Counter
@@ -20,6 +19,7 @@ from urllib.parse import quote
 
 import cv2
 
+from ..core.files.pages import html_page, inline_jpeg, jpeg_of
 from ..core.files.writing import replacing
 from .clips import PICTURES, Clip, read_record
 
@@ -32,21 +32,10 @@ _INTERVAL = 15.0
 """Seconds between two versions of a page, unless all of its clips have ended."""
 _SHEET_WIDTH = 480
 """Width of a contact sheet in pixels."""
-_QUALITY = 75
-"""Quality of JPEG, from 0 to 100."""
 _CURVE_WIDTH = 300
 """Width of a confidence curve in pixels."""
 _CURVE_HEIGHT = 48
 """Height of a confidence curve in pixels."""
-_STYLE = """
-body { font: 15px/1.4 system-ui, sans-serif; margin: 2em; color: #222; background: #fafafa }
-article { background: #fff; border: 1px solid #ddd; border-radius: 6px; padding: 1em; margin: 1em 0 }
-article.failed { border-color: #b33 }
-table { border-collapse: collapse } td { padding: .2em 1em .2em 0; vertical-align: top }
-h2 { margin: 0 0 .3em; font-size: 1.1em; overflow-wrap: anywhere }
-pre { white-space: pre-wrap; color: #922 } figure { display: inline-block; margin: .3em .6em .3em 0 }
-img, svg { display: block; max-width: 100% } figcaption { color: #666; font-size: .85em }
-"""
 
 
 @dataclass(frozen=True)
@@ -182,12 +171,8 @@ def _title(entries: Sequence[Entry]) -> str:
 
 
 def _write_page(path: Path, title: str, body: Sequence[str]) -> None:
-    text = (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Facemime: {title}</title>'
-        f"<style>{_STYLE}</style></head>\n<body><h1>{title}</h1>\n"
-    )
     with replacing(path) as temporary:
-        temporary.write_text(text + "\n".join(body) + "\n</body></html>\n", encoding="utf-8", errors="replace")
+        temporary.write_text(html_page(f"Facemime: {title}", title, body), encoding="utf-8", errors="replace")
 
 
 def _place(entry: Entry) -> tuple[bool, float]:
@@ -228,9 +213,7 @@ def _figure(content: str, caption: str) -> str:
 def _image(path: Path, *, inline: bool) -> str:
     """A picture in the page itself, or as a link to its file; empty if it is missing."""
     try:
-        source = (
-            f"data:image/jpeg;base64,{base64.b64encode(path.read_bytes()).decode()}" if inline else _quoted(path.name)
-        )
+        source = inline_jpeg(path.read_bytes()) if inline else _quoted(path.name)
     except OSError:
         return ""
     return f'<img alt="" loading="lazy" src="{source}">'
@@ -250,8 +233,3 @@ def sheet_for_report(image: Any) -> bytes:
     """Reduce a contact sheet, (H, W, 3) BGR, to the width of the report, as JPEG."""
     height = max(1, round(_SHEET_WIDTH * image.shape[0] / image.shape[1]))
     return jpeg_of(cv2.resize(image, (_SHEET_WIDTH, height), interpolation=cv2.INTER_AREA))
-
-
-def jpeg_of(image: Any) -> bytes:
-    """Encode a picture, (H, W, 3) BGR, as JPEG."""
-    return bytes(cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1])

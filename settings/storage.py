@@ -59,7 +59,7 @@ def presets_folder() -> Path:
 
 
 def documents() -> Path:
-    """Return the user's documents folder, or the home folder if there is none, or that for temporary files."""
+    """Return the user's documents folder, or else the home folder, or else the temporary folder."""
     try:
         home = Path.home()
     except RuntimeError:  # neither the environment nor the system knows one

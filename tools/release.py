@@ -64,7 +64,7 @@ def placeholders(manifest: Mapping[str, Any], project: Mapping[str, Any]) -> lis
 
 
 def notes(changelog: str, version: str) -> str:
-    """Return the section of a version in the changelog; "" if there is none."""
+    """Return the section of a version in the changelog; "" if it has no section."""
     sections = re.split(r"^## ", changelog, flags=re.MULTILINE)
     return next((text.partition("\n")[2].strip() for text in sections if text.split()[:1] == [version]), "")
 

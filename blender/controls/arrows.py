@@ -37,7 +37,7 @@ def drawn_arrows(
 ) -> DrawnArrows | None:
     """Project the arrows that face the viewer, as the head is displayed: of the selected control, or one of every one.
 
-    `view` and `size` are as for `landmark_places`. None if there are none, or a modifier removes vertices.
+    `view` and `size` are as for `landmark_places`. Returns None without arrows, or if a modifier removes vertices.
     """
     group = rig_group(head)
     selected = group.controls[group.active].name if 0 <= group.active < len(group.controls) else ""

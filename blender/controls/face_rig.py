@@ -28,7 +28,7 @@ _KEPT = ("spine", "spine.001", "spine.002", "spine.003", "spine.004", "spine.005
 _INSIDE = ("eye", "teeth", "tongue")
 """Beginnings of the names of bones that are not on the skin."""
 _DEEP = 0.1
-"""Depth of an eyeball's centre behind the lids, in eye distances, if there is none."""
+"""Depth behind the lids, in eye distances, at which the eye of a head without eyeballs turns."""
 _LENGTH = 0.2
 """Length of the bone of an eye, in eye distances."""
 _BONES = FaceBones(head="head", eye_right="ORG-eye.R", eye_left="ORG-eye.L", jaw="jaw_master")

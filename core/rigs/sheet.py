@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
@@ -10,6 +9,7 @@ from html import escape
 import cv2
 import numpy as np
 
+from ..files.pages import html_page, inline_jpeg, jpeg_of
 from ..heads.rig import HeadRig
 from ..heads.thumbnail import draw_head, to_pixels
 from ..numeric.arrays import FloatArray, IntArray
@@ -24,16 +24,7 @@ _COLOUR = (60, 60, 230)
 """Colour of arrows, BGR."""
 _STEPS = 2.0
 """Value that is shown, in the steps that were measured, within the range."""
-_QUALITY = 85
-"""Quality of JPEG, from 0 to 100."""
 _AXES = "XYZ"
-_STYLE = """
-body { font: 15px/1.4 system-ui, sans-serif; margin: 2em; color: #222; background: #fafafa }
-article { background: #fff; border: 1px solid #ddd; border-radius: 6px; padding: 1em; margin: 1em 0 }
-h3 { margin: 0 0 .3em; font-size: 1.1em; overflow-wrap: anywhere } h3 small { color: #666; font-weight: normal }
-figure { display: inline-block; margin: .3em .6em .3em 0; vertical-align: top }
-img { display: block } figcaption { color: #666; font-size: .85em; max-width: 176px }
-"""
 
 
 @dataclass(frozen=True)
@@ -98,12 +89,12 @@ def control_picture(rig: HeadRig, sample: IntArray, rest: FloatArray, posed: Flo
     for ends in to_pixels(rig, np.stack([rest[chosen], posed[chosen]], axis=1), middle, SIDE):
         start, end = np.rint(ends).astype(int).tolist()
         cv2.arrowedLine(picture, start, end, _COLOUR, 1, cv2.LINE_AA, tipLength=0.35)
-    return bytes(cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes())
+    return jpeg_of(picture)
 
 
 def sheet_page(title: str, rig_map: RigMap, directions: Sequence[Direction], pictures: Sequence[bytes]) -> str:
     """Return the page with a picture for each direction."""
-    regions, parts, last = rig_map.regions, [f"<h1>{escape(title)}: {len(rig_map.controls)} controls</h1>"], ""
+    regions, parts, last = rig_map.regions, list[str](), ""
     articles: dict[str, list[str]] = {}
     for direction, picture in zip(directions, pictures, strict=True):
         articles.setdefault(direction.channel.control, []).append(_figure(direction, picture))
@@ -113,16 +104,12 @@ def sheet_page(title: str, rig_map: RigMap, directions: Sequence[Direction], pic
             parts.append(f"<h2>{escape(last)}</h2>")
         role = f" <small>{escape(role_of(control))}</small>" if role_of(control) else ""
         parts.append(f"<article><h3>{escape(control)}{role}</h3>{''.join(figures)}</article>")
-    return (
-        f'<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f"<style>{_STYLE}</style></head>\n<body>{chr(10).join(parts)}\n</body></html>\n"
-    )
+    return html_page(title, f"{title}: {len(rig_map.controls)} controls", parts)
 
 
 def _figure(direction: Direction, picture: bytes) -> str:
-    shown = base64.b64encode(picture).decode()
     caption = f"{escape(direction.caption)}<br>Range: {escape(direction.range)}<br>{escape(direction.linearity)}"
-    return f'<figure><img alt="" src="data:image/jpeg;base64,{shown}"><figcaption>{caption}</figcaption></figure>'
+    return f'<figure><img alt="" src="{inline_jpeg(picture)}"><figcaption>{caption}</figcaption></figure>'
 
 
 def _name(channel: RigChannel) -> str:

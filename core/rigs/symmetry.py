@@ -45,7 +45,10 @@ def face_images(vertices: FloatArray, landmarks: IntArray, face: IntArray) -> ND
 
 
 def symmetry_of(vertices: FloatArray, landmarks: IntArray, sample: IntArray) -> Symmetry | None:
-    """Return the symmetry of sampled vertices (S,), of which the first are the landmarks; None if there is none."""
+    """Return the symmetry of sampled vertices (S,), of which the first are the landmarks.
+
+    Returns None if the face is not symmetric.
+    """
     others = sample[len(landmarks) :]
     images = face_images(vertices, landmarks, others)
     if images is None:
@@ -58,7 +61,7 @@ def symmetry_of(vertices: FloatArray, landmarks: IntArray, sample: IntArray) -> 
 def even_probes(probes: Sequence[Sequence[Probe]], symmetry: Symmetry) -> list[list[Probe]]:
     """Give directions of channels that mirror each other the mean of both effects; a rig is never quite symmetric.
 
-    They are told by what they do, not by names: each is the other's nearest mirror image.
+    They are recognised by what they do, not by their names: each is the other's nearest mirror image.
     """
     flat = [probe for probed in probes for probe in probed]
     if not flat:
