@@ -26,7 +26,7 @@ _LATEST = 1e19
 
 
 _PARTS = re.compile(r"[:;]")
-"""Separators; a semicolon marks drop-frame timecodes, which skip numbers rather than frames."""
+"""Separators; a semicolon before the frames marks drop-frame timecodes, which skip numbers rather than frames."""
 _RATES = (12.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 96.0, 100.0, 120.0, 144.0, 200.0)
 _APP_RATE = 60.0
 """Rate of Live Link Face, assumed if no second of a table is complete."""
@@ -47,8 +47,9 @@ def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
     These are hours, minutes, seconds and frames, the latter with decimals, as in 10:20:30:12.500; or hours, minutes and
     seconds with decimals, also after a date; or minutes and seconds with decimals. The frame numbers show the rate
     where they begin again: the last one before, the usual step and the first one after add up to it. Without such a
-    place the rate is that of the app, or the lowest usual one above all frame numbers. A semicolon marks drop-frame
-    timecodes, of 29.97 or 59.94 frames per second. Raises ValueError if a text is not a timecode.
+    place the rate is that of the app, or the lowest usual one above all frame numbers. A semicolon before the frames,
+    or minutes that begin at frame 2 or 4, mark drop-frame timecodes, of 29.97 or 59.94 frames per second. Raises
+    ValueError if a text is not a timecode.
     """
     clocks = [_DATE.sub("", text.strip()) for text in texts]
     try:
@@ -64,7 +65,7 @@ def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
     if parts.shape[1] == 3:
         return np.asarray(times + days)
     rate = _timecode_rate(times, parts[:, 3])
-    if ";" in clocks[0] and rate in _DROPPED:
+    if rate in _DROPPED and (";" in clocks[0] or _skips_numbers(times, parts[:, 3], _DROPPED[rate])):
         minutes = (times + days) // 60.0
         dropped = _DROPPED[rate] * (minutes - minutes // 10.0)
         return np.asarray(((times + days) * rate + parts[:, 3] - dropped) / (rate * _NTSC))
@@ -87,6 +88,13 @@ def _timecode_rate(seconds: FloatArray, frames: FloatArray) -> float:
     if abs(near - measured) <= _NEAR * near and near > highest:
         return near
     return max(float(round(measured)), float(np.floor(highest)) + 1.0)
+
+
+def _skips_numbers(seconds: FloatArray, frames: FloatArray, dropped: float) -> bool:
+    """Return whether minutes begin at that number, given whole seconds and frames of timecodes, both (N,)."""
+    begins = np.flatnonzero((np.diff(seconds) % _DAY == 1.0) & (seconds[1:] % 60.0 == 0.0)) + 1
+    minutes = begins[seconds[begins] % 600.0 != 0.0]
+    return bool(len(minutes)) and bool((np.floor(frames[minutes]) == dropped).all())
 
 
 def _turnovers(seconds: FloatArray, steps: FloatArray, step: float) -> NDArray[np.float64]:

@@ -23,6 +23,8 @@ from tests.helpers.viewer.watching import NEUTRAL, built_in, face, loaded, plain
 ROOT = Path(__file__).resolve().parents[2]
 TOLERANCE = 1e-3
 """Of the outer-eye distance."""
+EXACT_TOLERANCE = 2e-3
+"""The same where the paper's interpolation is exact: its weights are larger and cancel, and are sent with 11 bits."""
 
 
 def with_lashes():
@@ -89,7 +91,8 @@ def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watche
         shown_on(page, number)
         for place, frame in enumerate(frames):
             off = vertices_of(page, place)[: len(frame.vertices)] - frame.vertices
-            assert np.linalg.norm(off, axis=1).max() < TOLERANCE * unit
+            allowed = EXACT_TOLERANCE if place == len(frames) - 1 else TOLERANCE
+            assert np.linalg.norm(off, axis=1).max() < allowed * unit
             assert np.linalg.norm(frame.vertices - rest[: len(frame.vertices)], axis=1).max() > 0.1 * unit
         attached = vertices_of(page)[len(frames[0].vertices) :]
         assert np.linalg.norm(attached - attached_to(head, frames[0]), axis=1).max() < TOLERANCE * unit

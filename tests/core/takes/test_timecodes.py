@@ -49,11 +49,12 @@ def test_midnight_drop_frame_and_times_without_frames_are_understood():
     np.testing.assert_allclose(seconds_of_timecodes(["0:00:01.5", "0:01:00.25"]), [1.5, 60.25])
 
 
+@pytest.mark.parametrize("mark", [";", ":"])
 @pytest.mark.parametrize(("rate", "dropped"), [(30, 2), (60, 4)])
-def test_steps_are_even_where_drop_frame_timecodes_skip_numbers(rate, dropped):
+def test_steps_are_even_where_drop_frame_timecodes_skip_numbers(rate, dropped, mark):
     numbers = np.arange(9 * 60 * rate, 11 * 60 * rate + rate)
     kept = numbers[(numbers % (60 * rate) >= dropped) | (numbers // (60 * rate) % 10 == 0)]
-    texts = [f"01:{n // rate // 60:02d}:{n // rate % 60:02d};{n % rate:02d}" for n in kept.tolist()]
+    texts = [f"01:{n // rate // 60:02d}:{n // rate % 60:02d}{mark}{n % rate:02d}" for n in kept.tolist()]
     np.testing.assert_allclose(np.diff(seconds_of_timecodes(texts)), 1.001 / rate, atol=1e-9)
 
 
