@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from ..errors import DataError, ModelError
 from ..face.landmarks import MOUTH_CORNERS, N_LANDMARKS
 from ..face.names import COEFFICIENT_INDEX
-from ..face.rotation import fit_rotation
 from ..files.archives import MAX_BYTES, Archive, read_archive
 from ..files.assets import ASSETS
 from ..files.reading import read_bytes
@@ -212,18 +211,24 @@ LOOKS: NDArray[np.intp] = np.array(
     [COEFFICIENT_INDEX[f"eyeLook{direction}{side}"] for side in ("Left", "Right") for direction in _DIRECTIONS]
 )
 """(8,) columns of the coefficients for the direction of the eyes."""
-_PHONE_REACH = np.radians((35.2, 33.0))
+EYE_REACH = np.radians((35.2, 33.0))
 """Pitch and yaw of an eye in radians at which an iPhone states a coefficient of 1, from 560 of its packets."""
+_LOOKED = tuple(
+    (side, axis, sign * float(EYE_REACH[1 - axis]))
+    for side, outwards in ((1, 1.0), (0, -1.0))
+    for axis, sign in ((0, -outwards), (0, outwards), (1, -1.0), (1, 1.0))
+)
+"""For each of `LOOKS` the eye (0 right, 1 left), the axis along which it looks, and the signed angle at 1."""
 
 
 def looks_of(rotations: FloatArray) -> FloatArray:
     """Compute the coefficients (N, 8) of `LOOKS`, 0 to 1, for rotations (N, 2, 3, 3) of the right and the left eyeball.
 
-    They are shares of the angle of each unit.
+    They are shares of `EYE_REACH`.
     """
     forward = -rotations[..., 2]
     turned = np.stack([np.arctan2(forward[..., axis], -forward[..., 2]) for axis in (0, 1)])
-    columns = [np.clip(turned[axis][:, side] / reach, 0.0, 1.0) for side, axis, reach in _reaches()]
+    columns = [np.clip(turned[axis][:, side] / reach, 0.0, 1.0) for side, axis, reach in _LOOKED]
     return np.column_stack(columns)
 
 
@@ -233,7 +238,7 @@ def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
     The pitch is the mean of both eyes.
     """
     angles = np.zeros((2, 2))
-    for value, (side, axis, reach) in zip(looks.tolist(), _reaches(), strict=True):
+    for value, (side, axis, reach) in zip(looks.tolist(), _LOOKED, strict=True):
         angles[side, axis] += value * reach
     return gaze_of_eyes(np.array([[atan2(tan(down) * cos(across), 1.0), -across] for across, down in angles.tolist()]))
 
@@ -248,7 +253,7 @@ def looks_of_eyes(eyes: FloatArray) -> FloatArray:
 
     These are `(pitch, yaw)` of the right and the left eye in radians, as for the gaze in `TrackResult`.
     """
-    (right_down, right_in), (left_down, left_in) = (eyes * [[1.0, -1.0], [1.0, 1.0]] / _PHONE_REACH).tolist()
+    (right_down, right_in), (left_down, left_in) = (eyes * [[1.0, -1.0], [1.0, 1.0]] / EYE_REACH).tolist()
     ways = [left_in, -left_in, -left_down, left_down, right_in, -right_in, -right_down, right_down]
     return np.clip(ways, 0.0, 1.0)
 
@@ -256,20 +261,3 @@ def looks_of_eyes(eyes: FloatArray) -> FloatArray:
 def eyes_of_gaze(gaze: FloatArray, vergence: float) -> FloatArray:
     """Return the `(pitch, yaw)` of the right and left eye, (2, 2), that have this gaze and vergence in radians."""
     return gaze + np.array([[0.0, -0.5], [0.0, 0.5]]) * vergence
-
-
-@lru_cache(maxsize=1)
-def _reaches() -> tuple[tuple[int, int, float], ...]:
-    """Return for each of `LOOKS` the eye (0 right, 1 left), the axis along which it looks, and the signed angle in
-    radians at coefficient 1.
-    """
-    head = load_head()
-    reaches = []
-    for column in LOOKS.tolist():
-        name = head.unit_names[column]
-        eye = head.part("eye_left" if "Left" in name else "eye_right")
-        rest = (eye.vertices - eye.pivot).astype(np.float64)
-        forward = -fit_rotation(rest, rest + eye.units[column])[:, 2]
-        axis = 0 if "In" in name or "Out" in name else 1
-        reaches.append((int("Left" in name), axis, float(np.arctan2(forward[axis], -forward[2]))))
-    return tuple(reaches)

@@ -176,7 +176,7 @@ def sculpt(source: Source, pattern: Pattern, person: Person) -> Sculpture:
         "units": np.stack([surface.positions(unit) for unit in units]).astype(np.float16),
         "jaw_pivot": hinge.astype(np.float32),
     }
-    for part in build_parts(base, points, units, names.index("tongueOut"), hinge, looks=own):
+    for part in build_parts(base, points, units, names.index("tongueOut"), hinge, names, own):
         arrays |= _part_arrays(part.name, Shape(part.vertices, part.faces, part.uv), part.pivot)
         arrays[f"{part.name}.units"] = part.units.astype(np.float16)
     hair = cut_hair(person.haircut, vertices, surface.faces, ear, person.look)

@@ -12,8 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.face.rotation import fit_rotation
+from facemime.core.heads.built_in import LOOKS
 
 from .anatomy import UPPER_LIP_BORDER, UPPER_LIP_LINE
 from .source import BaseMesh
@@ -24,6 +27,9 @@ IRIS_RADIUS = 0.0058
 
 _EYE_RINGS, _EYE_SEGMENTS = 15, 28
 TEETH = 14
+_EYE_TURN = np.radians((24.0, 33.0))
+"""Pitch and yaw of an eye in a unit: sideways as a phone means; up and down as avatars' keys, as the lids of the units
+would hide the iris at a phone's 35 degrees."""
 _STILL = 2e-5
 _TONGUE_SIZE = np.array([0.70, 0.60, 0.66])
 _TONGUE_PLACE = np.array([0.0, 0.0070, 0.0080])
@@ -63,12 +69,13 @@ def build_parts(
     units: list[Points],
     tongue_out: int,
     hinge: Points,
-    looks: list[Points] | None = None,
+    names: list[str],
+    looks: list[Points],
 ) -> tuple[Part, ...]:
     """All parts of the head with base vertices `points` and face units `units`, each (N, 3) offsets; number
-    `tongue_out` puts the tongue out. Eyes turn as in the units `looks`, by default `units`.
+    `tongue_out` puts the tongue out. Eyes turn in the directions of the units `looks`, by the angles of a phone.
     """
-    parts = [_eye(base, points, units if looks is None else looks, side) for side in ("left", "right")]
+    parts = [_eye(base, points, dict(zip(names, looks, strict=True)), side) for side in ("left", "right")]
     lip_line = float(points[UPPER_LIP_LINE[0], 1])
     upper, lower = _group(base, "helper-upper-teeth"), _group(base, "helper-lower-teeth")
     parts.append(_teeth("teeth_upper", points[upper], +1.0, lip_line, hinge, _rigid_units(points, units, upper)))
@@ -106,12 +113,20 @@ def _rigid_units(points: Points, units: list[Points], rows: NDArray[np.int64]) -
     return offsets
 
 
-def _eye(base: BaseMesh, points: Points, units: list[Points], side: str) -> Part:
+def _eye(base: BaseMesh, points: Points, units: dict[str, Points], side: str) -> Part:
     rows = _group(base, f"helper-{side[0]}-eye")
     centre, radius = _sphere(points[rows])
     vertices, faces, uv = _globe(radius * EYE_RADIUS_SHARE)
     placed = vertices + centre
-    return Part(f"eye_{side}", placed, faces, uv, centre, _rigid_units(points, units, rows)(placed))
+    offsets = np.zeros((len(units), *placed.shape))
+    for column in LOOKS.tolist():
+        name = COEFFICIENTS[column]
+        if name.endswith(side.title()):
+            turned = Rotation.from_matrix(_rigid(points[rows], units[name][rows])[0]).as_rotvec()
+            axis = int(np.abs(turned[:2]).argmax())  # x for pitch, y for yaw
+            angle = np.copysign(_EYE_TURN[axis], turned[axis]) * np.eye(3)[axis]
+            offsets[column] = vertices @ Rotation.from_rotvec(angle).as_matrix().T - vertices
+    return Part(f"eye_{side}", placed, faces, uv, centre, offsets)
 
 
 def _sphere(points: Points) -> tuple[Points, float]:

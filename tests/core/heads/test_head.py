@@ -9,7 +9,16 @@ from hypothesis import strategies as st
 
 from facemime.core.errors import ModelError
 from facemime.core.face.landmarks import LIPS, MIRROR, from_ibug
-from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, WOMAN_FILE, Head, load_head
+from facemime.core.face.rotation import fit_rotation
+from facemime.core.heads.built_in import (
+    HEAD_FILE,
+    LOOKS,
+    PART_NAMES,
+    WOMAN_FILE,
+    Head,
+    load_head,
+    looks_of,
+)
 
 SIDED = ["browDown", "browOuterUp", "cheekSquint", "eyeBlink", "eyeLookDown", "eyeLookIn", "eyeLookOut", "eyeLookUp"]
 SIDED += ["eyeSquint", "eyeWide", "mouthDimple", "mouthFrown", "mouthLowerDown", "mouthPress", "mouthSmile"]
@@ -217,6 +226,17 @@ def test_parts_lie_where_they_belong(head):
     assert np.ptp(np.linalg.norm(eye_left.vertices - eye_left.pivot, axis=1)) < 0.001
     assert upper.vertices[:, 1].mean() < lower.vertices[:, 1].mean()
     assert np.allclose(lower.pivot, head.jaw_pivot)
+
+
+def test_eyes_turn_sideways_as_far_as_a_phone_means_and_less_up_and_down(head):
+    for place, column in enumerate(LOOKS.tolist()):
+        turns = []
+        for side in ("right", "left"):
+            eye = head.part(f"eye_{side}")
+            rest = (eye.vertices - eye.pivot).astype(np.float64)
+            turns.append(fit_rotation(rest, rest + eye.units[column]))
+        share = 24.0 / 35.2 if head.unit_names[column].startswith(("eyeLookUp", "eyeLookDown")) else 1.0
+        np.testing.assert_allclose(looks_of(np.array(turns)[None])[0], share * np.eye(len(LOOKS))[place], atol=2e-3)
 
 
 def test_lashes_are_rooted_at_the_lids_and_brows_in_the_skin(head):
