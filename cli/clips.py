@@ -215,7 +215,7 @@ class Namer:
             "settings": asdict(job.settings),
             "face": job.face,
             "object": None if job.head is None else job.head.name,
-            "model": FaceTracker.load().model_id,
+            "model": FaceTracker.load(settings=job.settings.tracking).model_id,
             "facemime": version(),
             **{name: None if path is None else self._checksums.of(path) for name, path in files.items()},
         }

@@ -250,6 +250,9 @@ def add_settings(
         default, told = setting.default, _shown(setting, setting.default)
         if omitted is not None and name in omitted:
             default, told = None, omitted[name]
+        if setting.unit == "file":
+            parser.add_argument(_flag(name), type=_absolute, default=default, metavar="FILE", help=summary)
+            continue
         more = {"choices": setting.values} if setting.choices else {"metavar": _METAVARS[setting.unit]}
         parser.add_argument(_flag(name), type=_type_of(setting), default=default, help=f"{summary} ({told})", **more)
 
@@ -321,6 +324,10 @@ def _flag(name: str) -> str:
 
 def _switch(name: str, value: bool) -> str:
     return _flag(name) if value else f"--no-{name.replace('_', '-')}"
+
+
+def _absolute(text: str) -> str:
+    return os.path.abspath(text) if text else ""
 
 
 def _path(text: str) -> Path | None:

@@ -16,6 +16,8 @@ const JOB_TYPE = {
           description: "face to track if several are in view: the leftmost, the rightmost, or the nearest to a pixel of the first frame (the largest)" },
         { key: "detector", type: "string", choices: ["network", "cascades"], default: "network",
           description: "how faces are found on the first frame and after tracking was lost (network)" },
+        { key: "tracker_model", type: "string", default: "",
+          description: "file of a model of FaceTracker, which the paper uses, from the next start on; empty for Facemime's own" },
         { key: "head", type: "string", default: "",
           description: "your own head, as for bind (the built-in head)" },
         { key: "points", type: "string", default: "",
@@ -88,6 +90,7 @@ const OPTIONS = [
     // Options, written by tools/farm.py
     "face",
     "detector",
+    "tracker-model",
     "head",
     "points",
     "style",

@@ -6,7 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty
+import bpy
+from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..core.files.setting import Choice, Setting, settings_of
 
@@ -39,6 +40,8 @@ def _property_of(setting: Setting) -> Any:
         return EnumProperty(**texts, items=_items(setting.choices), default=setting.default)
     if setting.kind is bool:
         return BoolProperty(**texts, default=setting.default)
+    if setting.unit == "file":
+        return StringProperty(**texts, default=setting.default, subtype="FILE_PATH")
     stored = {"default": setting.default, "min": setting.low, "max": setting.high, "soft_max": setting.soft_high}
     numbers = {name: setting.kind(value * setting.scale) for name, value in stored.items() if value is not None}
     if setting.kind is int:
@@ -63,8 +66,11 @@ _DISPLAY: dict[str, dict[str, Any]] = {
 
 def read(group: type[Group], owner: Any, **more: Any) -> Group:
     """Read a group of settings from the Blender properties of `owner`; `more` are the fields that are not settings."""
-    values = {
-        name: getattr(owner, name) / setting.scale if setting.scale != 1.0 else getattr(owner, name)
-        for name, setting in settings_of(group).items()
-    }
+    values = {name: _value(setting, getattr(owner, name)) for name, setting in settings_of(group).items()}
     return group(**values, **more)
+
+
+def _value(setting: Setting, stored: Any) -> Any:
+    if setting.unit == "file":
+        return bpy.path.abspath(stored)
+    return stored / setting.scale if setting.scale != 1.0 else stored

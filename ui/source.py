@@ -54,7 +54,7 @@ class FACEMIME_PT_source(Sidebar, bpy.types.Panel):
             column.prop(source, "face")
             if source.face == "ALL":
                 _draw_drivers(column, context, "person")
-            column.prop(context.scene.facemime, "detector")
+            props(column, context.scene.facemime, "detector", "tracker_model")
         if source.kind != "STREAM":
             draw_preview(layout, chosen)
 

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, TypeVar
 
 from ..errors import DataError
-from .reading import as_integer, as_number, shown
+from .reading import as_integer, as_number, as_text, shown
 
 Group = TypeVar("Group")
-Unit = Literal["", "percent", "angle", "seconds"]
+Unit = Literal["", "percent", "angle", "seconds", "file"]
 
 
 class Choice(NamedTuple):
@@ -44,8 +44,8 @@ class Setting:
         Range of a number, in the unit of the field.
     soft_high : float or None
         Upper end of the slider; larger values can be typed.
-    unit : {"", "percent", "angle", "seconds"}
-        A percentage is stored as a fraction, an angle in radians.
+    unit : {"", "percent", "angle", "seconds", "file"}
+        A percentage is stored as a fraction, an angle in radians, a file as its path.
     choices : sequence of Choice
         Allowed values of an enumeration.
     """
@@ -77,6 +77,8 @@ class Setting:
             return min(max(value, low), high)
         if self.kind is int:
             return as_integer(value, name, *(int(end) for end in self._range()))
+        if self.unit == "file":
+            return as_text(value, name, _MAX_PATH)
         if type(value) is not self.kind or (self.choices and value not in self.values):
             raise DataError("{name} cannot be {value}", name=name, value=shown(value))
         return value
@@ -92,6 +94,8 @@ class Setting:
 
 
 _UNBOUNDED = 1e9
+_MAX_PATH = 4096
+"""Largest length of a path in characters, that of Linux; Blender stores 1024."""
 _ROUNDING = 1e-6
 """Relative tolerance at the ends of a range, as Blender stores numbers with seven digits."""
 

@@ -35,9 +35,6 @@ _PATIENCE = 0.1
 """Seconds to wait for a frame before pending frames are written."""
 _ENDING = 5.0
 """Seconds that `close` waits for the thread, which may be tracking, or stuck in a driver or on a disk."""
-_LOAD_TRACKER = partial(FaceTracker.load, gradual=True)
-"""Loads a tracker with a gradual search, as a long search would stall the puppet when somebody returns to the
-camera."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +123,9 @@ class LiveWorker:
         The heads to drive.
     options : LiveOptions
         Initial options.
-    load_tracker : callable
-        Returns the tracker. Called in the thread, as it takes a moment.
+    load_tracker : callable, optional
+        Returns the tracker; called in the thread, as it takes a moment. By default one with a gradual search, as a long
+        search would stall the puppet when somebody returns to the camera.
     output : Output, optional
         Receives every frame; closed with the worker.
 
@@ -160,7 +158,7 @@ class LiveWorker:
         neutral: Neutral | None = None,
         heads: tuple[LiveHead, ...] = (),
         options: LiveOptions = LiveOptions(),
-        load_tracker: Callable[[], FaceTracker] = _LOAD_TRACKER,
+        load_tracker: Callable[[], FaceTracker] | None = None,
         output: Output | None = None,
     ) -> None:
         self.source, self.heads, self.options = source, heads, options
@@ -169,7 +167,8 @@ class LiveWorker:
         self.message = ""
         self.error: Exception | None = None
         self.recording_error: OutputError | None = None
-        self._load_tracker, self.output = load_tracker, output
+        self._load_tracker = load_tracker or partial(FaceTracker.load, gradual=True, settings=options.tracking)
+        self.output = output
         self.displays: tuple[Display, ...] = ()
         self.first = Performer(neutral)
         self._performers = {0: self.first}

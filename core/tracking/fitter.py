@@ -142,8 +142,23 @@ class FaceFitter:
             local = regularised_mean_shift(self._fitted_pdm, local, evidence, options)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         ended = perf_counter()
+        # 4. Features for the loss check (3.6).
         shape = self._fitted_pdm.project(local.pose, local.shape_params)
-        # 4. Features for the loss check (3.6), scaled to similar ranges.
+        features, certainty = self._judge(face, log_odds, maps, shape)
+        self._timings["experts"] += looked - began
+        self._timings["fit"] += ended - looked
+        self._timings["check"] += perf_counter() - ended
+        return Fit(fitted, features, certainty)
+
+    def _judge(
+        self, face: ResponseMaps, log_odds: float, maps: list[ResponseMaps], shape: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the features (6,), scaled to similar ranges, and the certainty (66,) of a fit at `shape` (66, 2).
+
+        `face` and `maps` are those of the face and of its parts, if these were seen, in the face frame of the shape.
+        """
+        certainty = _certainty(face, _HALF_CERTAIN_GLANCE if maps else _HALF_CERTAIN)
+        of_parts = [_certainty(m, _HALF_CERTAIN) for m in maps]
         features = np.zeros(N_FEATURES)
         features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
         if maps:
@@ -151,10 +166,12 @@ class FaceFitter:
             features[4:] = np.concatenate(of_parts).mean(), 10.0 * away.mean()
         for m, c in zip(maps, of_parts, strict=True):
             certainty[m.landmarks] = c
-        self._timings["experts"] += looked - began
-        self._timings["fit"] += ended - looked
-        self._timings["check"] += perf_counter() - ended
-        return Fit(fitted, features, certainty)
+        return features, certainty
+
+    def _shape_of(self, fitted: FittedShape) -> FloatArray:
+        """Landmarks of a fit in its own face frame, (66, 2), as the networks define them."""
+        local = _in_face_frame(fitted)
+        return self._fitted_pdm.project(local.pose, local.shape_params)
 
     def _respond(self, part: PartExperts, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
         """Compute the response maps of a part. Brows that are not seen in its crop are sought above it (section 3.3).

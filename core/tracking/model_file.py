@@ -20,6 +20,7 @@ from ..files.reading import read_bytes
 from ..numeric.arrays import FloatArray, IntArray
 from .cascade_detector import DETECTORS
 from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
+from .linear_experts import LinearModel
 from .network import N_FEATURES, OUTPUTS, STRIDE, FaceCheck, Network, NetworkDetector
 from .patch_experts import PATCH, ActionExperts, PatchExperts
 from .pdm import PointDistributionModel
@@ -64,6 +65,8 @@ class TrackerModel:
         Share of faces in which each landmark is visible, in the frontal view and with the nose to the viewer's left.
     box_offset : (D, 3) float64
         For each detector, translation of the pose from the centre of the box (x, y), and scale, in box widths.
+    linear : LinearModel, optional
+        The user's own shape model, which is then `pdm`, too, and its experts, which fit it alone.
     model_id : str
         First digits of the file's checksum.
     """
@@ -79,6 +82,7 @@ class TrackerModel:
     box_offset: FloatArray
     check: FaceCheck
     detector: NetworkDetector
+    linear: LinearModel | None = None
     model_id: str = "unsaved"
 
 

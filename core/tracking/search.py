@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..numeric.arrays import FloatArray
 from .cascade_detector import EFFORTS, CascadeDetector, Effort, Step
 from .fitter import COARSE, REFINED, FaceFitter, Fit
+from .linear_fitter import LinearFitter
 from .model_file import TrackerModel
 from .network import SIDES, NetworkDetector
 from .pdm import FittedShape
@@ -109,7 +110,10 @@ class FaceSearch:
         self._cascades = CascadeDetector()
         self._images = 0
         self.timings: dict[str, float] = dict.fromkeys(STAGES, 0.0)
-        self.fitter = FaceFitter(model, self.timings)
+        if model.linear is None:
+            self.fitter = FaceFitter(model, self.timings)
+        else:
+            self.fitter = LinearFitter(model, model.linear, self.timings)
 
     def begin(self) -> None:
         """Reset the timings for the next image."""

@@ -15,7 +15,8 @@ from ..numeric.arrays import FloatArray, as_image
 from .fitter import FaceFitter
 from .gaze import find_gaze
 from .identity import FaceChoice, PerformerIdentity, describe_face
-from .model_file import TrackerModel, load_model
+from .linear_fitter import load_any_model
+from .model_file import TrackerModel
 from .patch_experts import ActionExperts, measure_actions
 from .pdm import FittedShape, PointDistributionModel
 from .result import HiddenMouth, TrackResult, project_shape
@@ -46,7 +47,7 @@ class FaceTracker:
         40 frames, and the actions of eyes and mouth over two. By default the first frame without a face is searched
         completely, and all actions are measured in every frame.
     settings : TrackingSettings, optional
-        How faces are found; may be replaced between frames.
+        How faces are found; may be replaced between frames, except for the model.
 
     Examples
     --------
@@ -82,7 +83,7 @@ class FaceTracker:
         Parameters
         ----------
         path : Path, optional
-            The model file; by default the shipped one.
+            The model file, or the file of a model of FaceTracker; by default that of the settings, or the shipped one.
         gradual : bool
             As for the class.
         settings : TrackingSettings
@@ -93,7 +94,8 @@ class FaceTracker:
         ModelError
             If the file is missing or invalid.
         """
-        return cls(load_model(DEFAULT_MODEL if path is None else Path(path)), gradual=gradual, settings=settings)
+        chosen = Path(path or settings.tracker_model or DEFAULT_MODEL)
+        return cls(load_any_model(chosen, DEFAULT_MODEL), gradual=gradual, settings=settings)
 
     @property
     def pdm(self) -> PointDistributionModel:

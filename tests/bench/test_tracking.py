@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from facemime.core.face.landmarks import INNER, LOWER_LIDS, OUTER_EYE_CORNERS, UPPER_LIDS
+from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS
 from facemime.core.tracking.tracker import FaceTracker
 from lab.bench.accuracy import aperture_errors, count_blinks, delay, differences, eye_distances, jitter
-from lab.bench.peers.saragih import read_peer
 from lab.bench.tracking import paces
-
-PEER = Path(__file__).parents[3] / "shared/data/models/saragih_facetracker/model/face2.tracker"
 
 
 @pytest.fixture(scope="module")
@@ -83,18 +78,6 @@ def test_lids_that_follow_by_half_have_half_the_slope(face):
 def test_a_delay_is_measured_to_a_twentieth_of_a_frame(late):
     times = np.arange(100.0)
     assert delay(np.sin(0.2 * times), np.sin(0.2 * (times - late))) == pytest.approx(late, abs=0.05)
-
-
-@pytest.mark.skipif(not PEER.exists(), reason="the peer's model of ../shared/data is not here")
-def test_the_peers_model_lies_in_our_head_frame():
-    ours = FaceTracker.load().pdm.mean_shape
-    peer = read_peer(PEER, FaceTracker.load().pdm)
-    assert np.linalg.norm(np.diff(peer.pdm.mean_shape[OUTER_EYE_CORNERS], axis=0)) == pytest.approx(1.0, abs=0.06)
-    assert np.linalg.norm(peer.pdm.mean_shape - ours, axis=1)[INNER].mean() < 0.05
-    shown = [[bool(filters) for filters in view] for view in peer.views]
-    assert all(shown[0])
-    assert not any(shown[1][:8]) and all(shown[1][9:17])
-    assert all(shown[2][:8]) and not any(shown[2][9:17])
 
 
 def test_compared_trackers_take_turns_at_every_frame():

@@ -40,9 +40,12 @@ from facemime.core.mesh.kernels import get_kernel
 from facemime.core.puppet import presets
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.cascade_detector import CascadeDetector
+from facemime.core.tracking.linear_fitter import RADII, LinearFitter
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
+from facemime.core.tracking.pdm import FittedShape
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
 from tests.helpers.facegen_files import OBJ, egm, tri
+from tests.helpers.facetracker_files import facetracker_file, sample_experts, small_pdm
 from tests.helpers.takes import performance
 
 from .mutators import Arrays, archive_bytes, mutated_archive, mutated_bytes, mutated_json, npy_bytes
@@ -340,6 +343,20 @@ def _read_style(path: Path) -> None:
         pixels_of(example.thumbnail)
 
 
+@cache
+def _facetracker() -> bytes:
+    """Two modes and the experts of one view, so that mutations reach every kind of record."""
+    return facetracker_file(small_pdm(2), sample_experts()[:1], (0.0,))
+
+
+def _read_facetracker(path: Path) -> None:
+    fitter = FaceTracker.load(path).fitter
+    assert isinstance(fitter, LinearFitter)
+    start = FittedShape(np.array([60.0, 0.0, 0.0, 0.0, 80.0, 60.0]), np.zeros(fitter._linear.pdm.n_modes))
+    fitted = fitter.fit_linear(np.arange(120 * 160, dtype=np.uint8).reshape(120, 160), start, RADII)
+    assert np.isfinite(fitted.pose).all() and np.isfinite(fitted.shape_params).all()
+
+
 FORMATS: dict[str, Format] = {
     "style": Format(
         ".facestyle",
@@ -358,6 +375,9 @@ FORMATS: dict[str, Format] = {
         lambda: _tracker_bytes(archive_bytes({f"{n}.npy": npy_bytes(a) for n, a in _tracker_arrays().items()})),
         _mutated_tracker,
         _read_tracker,
+    ),
+    "model of FaceTracker": Format(
+        ".tracker", _facetracker, lambda rng: mutated_bytes(rng, _facetracker()), _read_facetracker
     ),
     "control points": _json(_points, _read_points),
     "key map": _json(_key_map, _read_key_map),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from facemime.cli.main import main
-from facemime.cli.options import Parser, add_preset_option, add_puppet_options, parse, puppet_job
+from facemime.cli.options import Parser, add_preset_option, add_puppet_options, as_options, parse, puppet_job
 from facemime.core.control_points.select import from_json, select_control_points
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
@@ -23,6 +23,7 @@ from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
+from facemime.core.tracking.tracking_settings import CASCADES, TrackingSettings
 from tests.helpers.takes import make_take, performance
 
 PAPER = DriveSettings(
@@ -63,6 +64,15 @@ def test_the_preset_sets_the_papers_method_and_options_override_it():
         assert job_of(*line).settings.drive == replace(PAPER, mode="3d", contact=True)
     assert job_of("--preset", "calm-speech").settings.smoothing == 1.5
     assert job_of().settings.drive == DriveSettings()
+
+
+def test_a_given_model_completes_the_preset_and_reaches_the_processes_of_a_batch(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    job = job_of("--preset", "paper", "--tracker-model", "face2.tracker")
+    assert job.settings.tracking == TrackingSettings(CASCADES, str(tmp_path / "face2.tracker"))
+    assert job_of(*as_options(job)).settings.tracking == job.settings.tracking
+    assert job_of("--preset", "paper").settings.tracking == TrackingSettings(CASCADES)
+    assert job_of("--tracker-model", "").settings.tracking == TrackingSettings()
 
 
 @pytest.mark.parametrize(("text", "message"), [(None, "There is no preset"), ("{}", "not a Facemime preset")])
