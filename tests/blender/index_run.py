@@ -6,12 +6,14 @@ JSON; the exit status is 0 only if everything succeeded.
 
 import json
 import os
+import shutil
 import sys
 import tempfile
 from pathlib import Path
 
 REPOSITORY, NEXT = map(Path, sys.argv[1:3])
 MODULE = "bl_ext.facemime_org.facemime"
+FILES = Path(__file__).resolve().parents[1] / "data" / "before_floors"
 
 
 def main() -> dict:
@@ -30,6 +32,13 @@ def main() -> dict:
     versions = [version_of(added)]
     preset = Path(bpy.utils.user_resource("SCRIPTS", path="presets/facemime", create=True)) / "Mine.json"
     assert bpy.ops.facemime.save_preset(name="Mine") == {"FINISHED"} and preset.exists()
+    project = Path(os.environ["BLENDER_USER_RESOURCES"]) / "project"
+    project.mkdir()
+    shutil.copy(FILES / "take.facetake", project)
+    bpy.ops.wm.open_mainfile(filepath=str(FILES / "scene.blend"))
+    assert bpy.ops.facemime.import_take(filepath=str(project / "take.facetake")) == {"FINISHED"}
+    bpy.ops.wm.save_as_mainfile(filepath=str(project / "scene.blend"))
+    before = content(bpy)
     for path in NEXT.iterdir():
         (REPOSITORY / path.name).unlink(missing_ok=True)
         (REPOSITORY / path.name).symlink_to(path)
@@ -38,8 +47,28 @@ def main() -> dict:
     assert addon_utils.check(MODULE) == (True, True), "the extension is not enabled after the update"
     versions.append(version_of(added))
     kept = preset.exists()
+    bpy.ops.wm.open_mainfile(filepath=str(project / "scene.blend"))
+    scene_kept = content(bpy) == before and bpy.ops.facemime.show_take() == {"FINISHED"}
     bpy.ops.extensions.package_uninstall(repo_index=index, pkg_id="facemime")
-    return {"versions": versions, "kept": kept}
+    return {"versions": versions, "kept": kept, "scene_kept": scene_kept}
+
+
+def content(bpy: object) -> tuple:
+    """Return the settings of the scene, its takes, and the landmarks of its head."""
+    scene = bpy.context.scene
+    settings = [
+        (name, getattr(scene.facemime, name))
+        for name, prop in scene.facemime.bl_rna.properties.items()
+        if prop.type in ("FLOAT", "BOOLEAN", "ENUM")
+    ]
+    heads = [
+        sorted((key, list(value)) for key, value in obj.data.items() if "landmark" in key and hasattr(value, "__len__"))
+        for obj in scene.objects
+        if obj.type == "MESH"
+    ]
+    takes = [(line.name, line.path) for line in scene.facemime_takes.items]
+    assert takes and any(heads), (takes, heads)
+    return settings, takes, heads
 
 
 def version_of(repository: object) -> str:

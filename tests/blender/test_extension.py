@@ -49,7 +49,11 @@ def test_blender_installs_from_the_index_and_updates_an_earlier_version(version,
     done = subprocess.run(command, capture_output=True, text=True, timeout=500, env=environment, check=False)
     assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-4000:]
     measured = json.loads(next(line for line in done.stdout.splitlines() if line.startswith("{")))
-    assert measured == {"versions": ["0.0.1", zipped.name.split("-")[1]], "kept": True}
+    assert measured == {
+        "versions": ["0.1.0", zipped.name.split("-")[1]],
+        "kept": True,
+        "scene_kept": True,
+    }
 
 
 def write_earlier(zipped: Path, path: Path) -> None:
@@ -58,7 +62,7 @@ def write_earlier(zipped: Path, path: Path) -> None:
         for name in new.namelist():
             data = new.read(name)
             if name == "blender_manifest.toml":
-                data = re.sub(rb'^version = ".*"', b'version = "0.0.1"', data, flags=re.MULTILINE)
+                data = re.sub(rb'^version = ".*"', b'version = "0.1.0"', data, flags=re.MULTILINE)
             old.writestr(name, data)
 
 
