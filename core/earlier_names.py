@@ -1,4 +1,4 @@
-"""Modules of a package under their names of version 0.1.0, for programs that import them, until 1.0."""
+"""Modules of a package under their names of version 0.1.0, for programs that import them, until 2.0."""
 
 from __future__ import annotations
 

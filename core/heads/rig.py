@@ -314,4 +314,4 @@ def _lashes(head: Head) -> FaceParts:
 
 
 built_in_rig = built_in_head
-"""Its name in version 0.1.0, for programs that import it, until 1.0."""
+"""Its name in version 0.1.0, for programs that import it, until 2.0."""
