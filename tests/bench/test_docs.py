@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 import pytest
@@ -74,3 +75,20 @@ def test_missing_results_are_reported_with_the_command_that_makes_them(folder, c
 def test_all_markers_in_the_documents_are_valid(path):
     text = path.read_text(encoding="utf-8")
     assert docs.with_tables(text, {}) == (text, [])
+
+
+PRIVATE = re.compile(
+    r"\b(d6|d9|d10|d12|d18|rigged|vroid)\b|^<!-- table: .*(strangers|Expressions -->|artist's shapes|private)",
+    re.MULTILINE,
+)
+"""Names of what `../shared/DATA.md` allows to be measured only, and titles of tables that come from it alone."""
+
+
+def test_rows_from_private_data_are_marked_as_such():
+    found = 0
+    for path in sorted((ROOT / "docs" / "accuracy").glob("*.md")):
+        for before, table in re.findall(r"([^\n]*\n\n)(<!-- table: .*-->\n(?:\|.*\n)+)", path.read_text("utf-8")):
+            if PRIVATE.search(table):
+                found += 1
+                assert "private data" in (before + table.split("-->")[0]).lower(), (path.name, table.splitlines()[0])
+    assert found >= 13

@@ -1,5 +1,7 @@
 """Blender's properties have the defaults, ranges, choices and texts of the settings in core."""
 
+import os
+
 import bpy
 import pytest
 
@@ -7,6 +9,7 @@ from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.files.setting import settings_of
 from facemime.core.puppet.puppet_settings import PuppetSettings
+from facemime.core.tracking.tracking_settings import TrackingSettings
 from facemime.settings.values import bake_settings, puppet_settings
 
 
@@ -46,3 +49,13 @@ def test_a_property_has_the_range_choices_and_texts_of_its_setting():
             elif setting.kind in (int, float):
                 ends = [setting.scale * end for end in (setting.low, setting.high, setting.default)]
                 assert [rna.hard_min, rna.hard_max, rna.default] == pytest.approx(ends)
+
+
+@pytest.mark.filterwarnings("ignore:.*blend relative:RuntimeWarning")
+def test_the_file_of_a_model_is_found_beside_the_project(in_a_project):
+    settings = bpy.context.scene.facemime
+    assert puppet_settings(settings).tracking == TrackingSettings()
+    assert settings.bl_rna.properties["tracker_model"].subtype == "FILE_PATH"
+    settings.tracker_model = "//face2.tracker"
+    project = os.path.dirname(bpy.data.filepath)
+    assert puppet_settings(settings).tracking.tracker_model == os.path.join(project, "face2.tracker")
