@@ -1,10 +1,13 @@
 """Addresses: which of them are this computer's, and how they are written."""
 
 import errno
+import socket
+from typing import ClassVar
 
 import pytest
 
 from facemime.core.errors import SourceError
+from facemime.core.streams.transport import addresses
 from facemime.core.streams.transport.addresses import cannot_listen, is_loopback, parse_address
 
 
@@ -53,3 +56,22 @@ def test_a_port_that_only_administrators_may_use_is_reported_as_such():
     denied = PermissionError(errno.EACCES, "Permission denied")
     assert "listen on port 443. Choose one of 1024 or above." in str(cannot_listen("127.0.0.1", 443, denied))
     assert "Permission denied" in str(cannot_listen("127.0.0.1", 8443, denied))
+
+
+@pytest.mark.parametrize("kind", [socket.SOCK_STREAM, socket.SOCK_DGRAM])
+def test_no_other_program_can_take_a_port_over_on_windows(monkeypatch, kind):
+    class Opened:
+        type = kind
+        options: ClassVar[list[tuple[int, int, int]]] = []
+
+        def setsockopt(self, *option: int) -> None:
+            self.options.append(option)
+
+        def bind(self, address: tuple[str, int]) -> None:
+            assert self.options == [(socket.SOL_SOCKET, -5, 1)], "before the port is taken, and without SO_REUSEADDR"
+
+    monkeypatch.setattr(addresses.sys, "platform", "win32")
+    monkeypatch.setattr(socket, "SO_EXCLUSIVEADDRUSE", -5, raising=False)
+    Opened.options.clear()
+    addresses.bind(Opened(), ("127.0.0.1", 1))
+    assert Opened.options
