@@ -13,6 +13,7 @@ from ..blender.animation.live_keys import names_of
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.scene_range import fit_range, outside_range
 from ..blender.animation.taught import own_values
+from ..blender.animation.taught_poses import OwnPoses
 from ..blender.contexts import push_undo
 from ..blender.controls.stored import controls_state
 from ..blender.heads.face_display import FaceDisplay
@@ -76,6 +77,8 @@ class TakeShow(Session):
         What each head shows.
     before : dict of str to Values
         Values of the shape keys of each head at the start, by its name.
+    posed : dict of str to OwnPoses
+        The controls of each head at the start, by its name.
     start : float
         Frame of the scene at which the take starts.
     """
@@ -88,6 +91,7 @@ class TakeShow(Session):
         self._recorded, self._wanted = take, _Wanted.of(scene, objects)
         self.performance = Performance.of(take, self._wanted.puppet)
         self.before = {obj.name: own_values(obj) for obj in objects}
+        self.posed = {obj.name: OwnPoses.of(obj, pose_targets(settings.posing, obj).values()) for obj in objects}
         self.frames: list[HeadFrame | None] = [None] * len(objects)
         keys = [keys_of(scene, obj) for obj in objects]
         follow = Follow(settings.rotation, settings.translation)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_keys import names_of
 from ..blender.animation.taught import edited_keys, edited_shape, reset_keys
+from ..blender.controls.view import seen_vertices
 from ..blender.messages import displayable
 from ..blender.styles import read_style, write_example
 from ..blender.timeline import frames_of
@@ -74,9 +75,15 @@ def _example(show: TakeShow, scene: bpy.types.Scene, number: int, frame: HeadFra
         expression=expression,
     )
     if isinstance(driver, KeyDriver):
+        _require_unposed(show, shown.obj)
         changed, vertices = _keys(show, shown, driver, frame, expression)
         return replace(example, keys=changed, thumbnail=thumbnail(posed.rig, vertices))
+    if shown.controls is not None:
+        changes, vertices = _controls(show, shown, frame)
+        return replace(example, controls=changes, thumbnail=thumbnail(posed.rig, vertices))
     wanted = edited_shape(shown.obj, frame, show.before.get(shown.obj.name, {}))
+    if (own := show.posed.get(shown.obj.name)) is not None:
+        wanted = own.added(wanted, posed.rig.eye_distance)
     if not posed.edited(frame, wanted).any():
         raise _unchanged(shown.obj)
     old, new = edited_keys(shown.obj, {}, show.before.get(shown.obj.name, {}))
@@ -106,10 +113,37 @@ def _keys(
     return taught_keys(every, every | new, driver.taught.changes(expression)), vertices
 
 
+def _require_unposed(show: TakeShow, head: bpy.types.Object) -> None:
+    """Raise HeadError if controls of a head that its keys drive were posed."""
+    own = show.posed.get(head.name)
+    if own is not None and (names := own.changed()):
+        raise HeadError(
+            "{name} is driven by its shape keys, so that {names} cannot be taught. Change shape keys instead, or "
+            "choose Controls or Skin as Driven By.",
+            name=head.name,
+            names=", ".join(names),
+        )
+
+
+def _controls(show: TakeShow, shown: LiveHeadObject, frame: HeadFrame) -> tuple[dict[str, float], NDArray[np.float32]]:
+    """Return the changes of controls to teach, and the vertices with them."""
+    used = () if shown.controls is None else shown.controls.channels
+    own = show.posed.get(shown.obj.name)
+    if own is not None and (others := own.changed(but=used)):
+        raise HeadError(
+            "{names} do not show the take, and cannot be taught. Enable them in Head > Controls, or put them back.",
+            names=", ".join(others),
+        )
+    if not (changes := shown.taught_controls()):
+        raise _unchanged(shown.obj)
+    vertices = seen_vertices(shown.obj)
+    return changes, frame.vertices if vertices is None else vertices
+
+
 def _unchanged(obj: bpy.types.Object) -> HeadError:
     return HeadError(
-        "{name} looks as the take shows it. Change its shape keys, or sculpt it, and then teach the frame. Make "
-        "Expression Keys adds shape keys to a head without any.",
+        "{name} looks as the take shows it. Change its shape keys, pose its controls, or sculpt it, and then teach the "
+        "frame. Make Expression Keys adds shape keys to a head without any.",
         name=obj.name,
     )
 

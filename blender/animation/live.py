@@ -161,6 +161,10 @@ class LiveHeadObject:
         self._moving = [target for target in self._carried if not target.bone and values_aside(target.obj, _DELTAS, 0)]
         self._shown = True
 
+    def taught_controls(self) -> dict[str, float]:
+        """Return what the user has changed of the controls that show a frame, as `LiveControls.taught`."""
+        return {} if self._controls is None else self._controls.taught()
+
     def _values_of(self, obj: bpy.types.Object) -> LiveValues | None:
         if (keys := mesh_of(obj).shape_keys) is None:
             return None
@@ -230,6 +234,8 @@ class LiveHeadObject:
         sizes = [3 * len(shown.mesh.vertices) for shown in self._meshes]
         if self._controls is not None:
             sizes = self._controls.sizes
+        if flat is None and self._controls is not None:
+            self._controls.renew()
         if flat is None or [len(each) for each in flat] != sizes:
             flat = self.prepare(frame)
         if self._controls is not None:

@@ -31,6 +31,8 @@ CONTROLS = "CONTROLS"
 
 _PATIENCE = 0.01
 """Seconds that an evaluation of the rig may take for the correction of each frame."""
+_EDITED = 1e-4
+"""Smallest change of a channel that counts, in eye distances, radians, or the unit of a property."""
 _FIRST = 5
 """Evaluations whose median decides."""
 
@@ -49,6 +51,9 @@ class LiveControls:
         self._zero: FloatArray | None = None
         self._rest = read_vertices(mesh_of(head))[found.sample].astype(np.float64)
         self._values = ControlValues(found.channels)
+        self._solved = self._shown = np.zeros(len(found.channels))
+        self._low, self._high = (np.array([getattr(one, end) for one in found.channels]) for end in ("low", "high"))
+        self._least = _EDITED * np.array([channel.unit for channel in found.channels])
 
     @property
     def owners(self) -> list[bpy.types.Object]:
@@ -68,15 +73,17 @@ class LiveControls:
     @property
     def sizes(self) -> list[int]:
         """Lengths of the arrays that `solve` returns."""
-        return [len(self.found.channel), 3 * len(self.found.sample)]
+        return [len(self.found.channel), 3 * len(self.found.sample), len(self.found.channels)]
 
     def solve(self, frame: HeadFrame) -> list[NDArray[np.float64]]:
-        """Return the variables of the map that show a frame, (K,), and the motion that is wanted, (3 S,).
+        """Return the variables of the map that show a frame, (K,), the wanted motion, (3 S,), and taught changes of the
+        channels, (C,).
 
         May be called in a thread.
         """
         wanted = frame.vertices[self.found.sample] - self._rest
-        return [self._solver.variables(wanted), wanted.ravel()]
+        taught = [frame.controls.get(channel.key, 0.0) for channel in self.found.channels]
+        return [self._solver.variables(wanted), wanted.ravel(), np.array(taught)]
 
     def attach(self) -> None:
         """Remember the values of the controls."""
@@ -85,21 +92,41 @@ class LiveControls:
             if CONTROLS_PROPERTY not in owner:
                 owner[CONTROLS_PROPERTY] = json.dumps(self._values.own_of(owner.name))
 
-    def write(self, variables: FloatArray, wanted: FloatArray) -> None:
+    def renew(self) -> None:
+        """Set all controls in the next frame, as the user may have posed some."""
+        self._values.forget()
+
+    def write(self, variables: FloatArray, wanted: FloatArray, taught: FloatArray) -> None:
         """Set the controls to what `solve` has returned; raises HeadError if one was deleted."""
         if self._corrects and self._zero is None:
             self._zero = self._look(np.zeros(len(variables)))
         moved = self._look(variables)
         if moved is not None and self._zero is not None:
-            corrected = self._correcting.again(wanted.reshape(-1, 3), variables, moved - self._zero)
-            self._values.write(self.found.values(corrected))
+            variables = self._correcting.again(wanted.reshape(-1, 3), variables, moved - self._zero)
+        self._solved = self._shown = self.found.values(variables)
+        if taught.any():
+            self._shown = np.where(taught, np.clip(self._solved + taught, self._low, self._high), self._solved)
+        self._values.write(self._shown)
+
+    def taught(self) -> dict[str, float]:
+        """Return the changes of channels, by `RigChannel.key`, with which a frame looks as the user posed it.
+
+        Nothing if it looks as it is shown.
+        """
+        now = self._values.read()
+        edited = np.abs(now - self._shown) > self._least
+        if not edited.any():
+            return {}
+        changes = np.where(edited, now, self._shown) - self._solved
+        far = np.flatnonzero(np.abs(changes) > self._least)
+        return {self.found.channels[number].key: float(changes[number]) for number in far}
 
     def _look(self, variables: FloatArray) -> FloatArray | None:
         """Set the controls, and evaluate the rig: sampled vertices (S, 3), or None if there is to be no correction."""
-        self._values.write(self.found.values(variables))
         head = bpy.data.objects.get(self._head)
         if not self._corrects or head is None or bpy.app.is_job_running("RENDER"):
             return None
+        self._values.write(self.found.values(variables))
         start = time.perf_counter()
         points = look_at(head, self.found.sample)
         if len(self._seconds) < _FIRST:

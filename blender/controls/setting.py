@@ -15,7 +15,7 @@ from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, RigChannel
 from ..meshes import posed_bones
-from ..own_pose import rotation_channel
+from ..own_pose import matrix_of, rotation_channel
 
 Holder = bpy.types.Object | bpy.types.PoseBone
 _Group = tuple[str, str, str, str]
@@ -47,6 +47,17 @@ class ControlValues:
             if changed[numbers].any():
                 _write(group, self._own[group], self._axes[numbers], (self._at_rest + values)[numbers])
         self._written = np.array(values, dtype=np.float64)
+
+    def forget(self) -> None:
+        """Set all channels the next time, as the user may have changed some."""
+        self._written[:] = np.nan
+
+    def read(self) -> FloatArray:
+        """Return the changes of the channels from rest as they are now, (C,)."""
+        found = np.empty(len(self.channels))
+        for group, numbers in self._groups.items():
+            found[numbers] = _vector(*group)[self._axes[numbers]] - self._at_rest[numbers]
+        return found
 
     def own_of(self, owner: str) -> list[list[Any]]:
         """Return the values that the channels of an object had: bone, kind, name, and the value."""
@@ -101,6 +112,16 @@ def _read(owner: str, bone: str, kind: str, name: str) -> Any:
             raise HeadError("The control {name} is missing. Learn the controls again.", name=name)
         return holder[name]
     return tuple(getattr(holder, _attribute(holder, kind)))
+
+
+def _vector(owner: str, bone: str, kind: str, name: str) -> FloatArray:
+    """Return a location, a rotation vector, or a property, (3,)."""
+    value = _read(owner, bone, kind, name)
+    if kind in (LOCATION, PROPERTY):
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
+    mode = holder_of(owner, bone).rotation_mode
+    axis, angle = matrix_of(mode, value).to_quaternion().to_axis_angle()
+    return np.array(axis) * (angle - 2.0 * np.pi if angle > np.pi else angle)
 
 
 def _write(group: _Group, own: Any, axes: NDArray[np.intp], values: FloatArray) -> None:

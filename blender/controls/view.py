@@ -122,6 +122,19 @@ def look_at(head: bpy.types.Object, sample: IntArray) -> FloatArray | None:
     return from_blender(_placed(np.array(_pose_of_head(head, graph).inverted_safe()), points[sample]))
 
 
+def seen_vertices(head: bpy.types.Object) -> NDArray[np.float32] | None:
+    """Evaluate the rig, and return all vertices of a head, (A, 3), as `look_at` does."""
+    bpy.context.view_layer.update()
+    graph, found = bpy.context.evaluated_depsgraph_get(), []
+    back = _pose_of_head(head, graph).inverted_safe() @ head.matrix_world.inverted_safe()
+    for member in members_of(head):
+        points = _points(member.obj, graph)
+        if len(points) != len(mesh_of(member.obj).vertices):
+            return None
+        found.append(_placed(np.array(back @ member.obj.evaluated_get(graph).matrix_world), points))
+    return np.asarray(from_blender(np.concatenate(found)), dtype=np.float32)
+
+
 def _points(obj: bpy.types.Object, graph: bpy.types.Depsgraph) -> NDArray[np.float64]:
     """Return the evaluated vertices of a mesh, (V, 3), in Blender's axes."""
     mesh = obj.evaluated_get(graph).data

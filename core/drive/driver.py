@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +26,7 @@ from .drive_settings import DriveSettings
 from .parts import PartDriver
 from .posing import EyeDriver, Jaw, limit_rotation, limit_vector
 from .retarget import retargeter_for
-from .teaching import Expressions, TaughtVertices, edited_vertices
+from .teaching import Expressions, TaughtControls, TaughtVertices, edited_vertices
 
 _BY_DEFAULT = DriveSettings()
 
@@ -54,6 +55,8 @@ class HeadFrame:
         Values of shape keys that move the vertices instead, in the order of `LiveKeys.offsets`; empty without keys.
     taught : (k,) float64
         Weights of the examples of `HeadRig.style` that count, by which the vertices are corrected.
+    controls : mapping of str to float
+        Changes of the controls of a rig, by `RigChannel.key`, that the examples of `HeadRig.style` teach.
 
     Examples
     --------
@@ -74,6 +77,7 @@ class HeadFrame:
     displacements: FloatArray
     keys: FloatArray
     taught: FloatArray = field(default_factory=lambda: np.empty(0))
+    controls: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def tongue(self) -> float:
@@ -142,6 +146,7 @@ class HeadDriver:
         every = np.arange(len(self.rest))
         self._kept, others = (every, every[:0]) if self.parts is None else (self.parts.kept, self.parts.others)
         self.taught = TaughtVertices(rig.style, len(every), self._kept, others)
+        self._controls = TaughtControls(rig.style)
         self._expressions = Expressions(self.neutral)
         self._jaw = Jaw(landmarks, rig.jaw_pivot)
         self._unit = outer_eye_distance(landmarks)
@@ -161,7 +166,8 @@ class HeadDriver:
         actions = np.zeros(N_ACTIONS)
         if not self.options.only_landmarks:
             actions = self.actions.activations(result.actions, result.shape)
-        taught = self.taught.weights(self._expressions.of(result))
+        expression = self._expressions.of(result)
+        taught = self.taught.weights(expression)
         gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
         jaw = self._jaw.rotation(displacements)
         eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
@@ -180,6 +186,7 @@ class HeadDriver:
             displacements=displacements,
             keys=np.empty(0),
             taught=taught,
+            controls=self._controls.changes(expression),
         )
 
     def expression(self, result: TrackResult) -> FloatArray:
@@ -266,6 +273,8 @@ class HeadMotion:
     translation : (N, 3) float64
     actions : (N, 15) float64
         As in `HeadFrame`.
+    controls : mapping of str to (N,) float64
+        As in `HeadFrame`.
     """
 
     times: FloatArray
@@ -275,6 +284,7 @@ class HeadMotion:
     jaw: FloatArray
     gaze: FloatArray
     actions: FloatArray
+    controls: Mapping[str, FloatArray] = field(default_factory=dict)
 
 
 def drive_take(driver: HeadDriver, take: Take) -> HeadMotion:
@@ -297,6 +307,7 @@ def drive_take(driver: HeadDriver, take: Take) -> HeadMotion:
         jaw=np.array([frame.jaw for frame in frames]),
         gaze=np.array([frame.gaze for frame in frames]),
         actions=np.array([frame.actions for frame in frames]),
+        controls={name: np.array([frame.controls[name] for frame in frames]) for name in frames[0].controls},
     )
 
 

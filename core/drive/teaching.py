@@ -178,26 +178,36 @@ class _Moved:
             vertices[self._rows] += multiply(weights.astype(np.float32), self._modes).reshape(-1, 3)
 
 
-class TaughtKeys:
-    """Corrections of the values of shape keys that drive a head.
+class TaughtControls:
+    """Corrections of the controls of a rig that drive a head.
 
-    `names` are the keys that they change.
+    `names` are the channels that they change, by `RigChannel.key`.
     """
 
     def __init__(self, style: Style) -> None:
-        examples = counting(style, lambda example: bool(example.keys))
-        self.names = tuple(dict.fromkeys(name for example in examples for name in example.keys))
+        examples = counting(style, lambda example: bool(self._values(example)))
+        self.names = tuple(dict.fromkeys(name for example in examples for name in self._values(example)))
         self._changes = np.array(
-            [[example.weight * example.keys.get(name, 0.0) for name in self.names] for example in examples]
+            [[example.weight * self._values(example).get(name, 0.0) for name in self.names] for example in examples]
         )
         self._interpolation = Interpolation(_expressions(examples)) if examples else None
 
     def changes(self, expression: FloatArray) -> dict[str, float]:
-        """Return the changes of the values of keys for an expression (213,)."""
+        """Return the changes, by name, for an expression (213,)."""
         if self._interpolation is None:
             return {}
         mixed = multiply(self._interpolation.weights(expression), self._changes)
         return dict(zip(self.names, mixed.tolist(), strict=True))
+
+    def _values(self, example: Example) -> Mapping[str, float]:
+        return example.controls
+
+
+class TaughtKeys(TaughtControls):
+    """Corrections of the values of shape keys that drive a head, as those of controls."""
+
+    def _values(self, example: Example) -> Mapping[str, float]:
+        return example.keys
 
     def corrected(
         self,

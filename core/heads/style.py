@@ -59,6 +59,8 @@ class Example:
         than the skin are added to the motion with which they follow it. Empty if a head was taught that its keys drive.
     keys : mapping of str to float
         Changes of the values of shape keys, for a head that its keys drive; empty if none was changed.
+    controls : mapping of str to float
+        Changes of the channels of a rig, by `RigChannel.key`, for a head that its controls drive.
     weight : float
         Factor of the offsets, 0 to 2.
     muted : bool
@@ -72,6 +74,7 @@ class Example:
     expression: FloatArray
     offsets: NDArray[np.float32] = field(default_factory=_no_offsets)
     keys: Mapping[str, float] = field(default_factory=dict)
+    controls: Mapping[str, float] = field(default_factory=dict)
     weight: float = 1.0
     muted: bool = False
     thumbnail: bytes = b""
@@ -86,13 +89,14 @@ class Style:
     def fitted_to(self, count: int, keys: Collection[str] | None = None) -> Style:
         """Return the style for a head with `count` vertices and certain shape keys; None if these are not known.
 
-        Examples of another mesh keep only their shape keys; raises HeadError if the head has none of them.
+        Examples of another mesh keep only their shape keys and controls; raises HeadError if they have no controls, and
+        the head none of the keys.
         """
         fitting = []
         for example in self.examples:
             if len(example.offsets) in (0, count):
                 fitting.append(example)
-            elif any(keys is None or name in keys for name in example.keys):
+            elif example.controls or any(keys is None or name in keys for name in example.keys):
                 fitting.append(replace(example, offsets=_no_offsets()))
             else:
                 raise HeadError(
@@ -114,6 +118,7 @@ def style_bytes(style: Style) -> bytes:
             "weight": example.weight,
             "muted": example.muted,
             "keys": dict(example.keys),
+            "controls": dict(example.controls),
         }
         for example in style.examples
     ]
@@ -137,9 +142,8 @@ def style_of(data: bytes) -> Style:
 
 
 def _example(row: dict[str, Any], number: int, archive: Archive) -> Example:
-    keys = as_object(row.get("keys"), "keys")
-    if len(keys) > _MAX_KEYS:
-        raise DataError("there are {keys} shape keys, more than {max_keys}", keys=len(keys), max_keys=_MAX_KEYS)
+    keys = _changes(row.get("keys"), "keys")
+    controls = _changes(row.get("controls", {}), "controls")  # earlier versions wrote none
     if not isinstance(muted := row.get("muted"), bool):
         raise DataError("muted is not true or false")
     offsets = _within(archive.floats(f"offsets_{number}", (None, 3), np.float32), "an offset", _MAX_OFFSET)
@@ -148,13 +152,20 @@ def _example(row: dict[str, Any], number: int, archive: Archive) -> Example:
         performer=as_text(row.get("performer"), "the performer"),
         expression=_within(archive.floats(f"expression_{number}", (N_FEATURES,)), "an expression", _MAX_VALUE),
         offsets=np.asarray(offsets, dtype=np.float32),
-        keys={
-            as_text(name, "a key"): as_number(value, "a key", -_MAX_VALUE, _MAX_VALUE) for name, value in keys.items()
-        },
+        keys=keys,
+        controls=controls,
         weight=as_number(row.get("weight"), "the weight", 0.0, MAX_WEIGHT),
         muted=muted,
         thumbnail=archive.data(f"thumbnail_{number}"),
     )
+
+
+def _changes(found: object, what: str) -> dict[str, float]:
+    """Return changes of values by name."""
+    changes = as_object(found, what)
+    if len(changes) > _MAX_KEYS:
+        raise DataError("there are {keys} shape keys, more than {max_keys}", keys=len(changes), max_keys=_MAX_KEYS)
+    return {as_text(name, what): as_number(value, what, -_MAX_VALUE, _MAX_VALUE) for name, value in changes.items()}
 
 
 def _within(values: FloatArray, name: str, limit: float) -> FloatArray:

@@ -72,6 +72,11 @@ class RigChannel:
         """Name of the control, which may have several channels."""
         return self.bone or self.name or self.owner
 
+    @property
+    def key(self) -> str:
+        """Name of the channel, which is the same on a copy of the rig."""
+        return f"{self.control} {self.kind} {self.name or 'xyz'[self.index]}"
+
 
 @dataclass(frozen=True)
 class Probe:
