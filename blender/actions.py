@@ -88,7 +88,7 @@ def write_curves(
     frames : (N,) array
         Frames of the keyframes.
     nla : bool
-        Whether to put the curves into a new action on a new NLA track.
+        Whether to put the curves onto a new NLA track, in an action that all tracks of the character share.
     add : bool
         Whether to add to animation of the same channels instead of muting it.
     leave_drivers : bool
@@ -101,14 +101,15 @@ def write_curves(
     paths = {curve.data_path for curve in curves}
     if add and (beneath := keyed_paths(owner) & paths):
         _push_down(owner, frames)
+        action = action or CharacterAction(name, ())
         # What is added to no animation would be added to the default of the property, which is not always 0.
         for added in (True, False):
             if part := [curve for curve in curves if (curve.data_path in beneath) == added]:
-                _push(owner, name, frames, part, add=added)
+                _push(owner, name, frames, part, action, add=added)
         return mute_paths(owner, paths, curves=False)
     muted = mute_paths(owner, paths)
     if nla or muted_paths(owner) & paths or _is_blended(owner):
-        _push(owner, name, frames, curves)
+        _push(owner, name, frames, curves, action or CharacterAction(name, ()))
         return muted
     data = owner.animation_data or owner.animation_data_create()
     if data.action is None:
@@ -220,9 +221,15 @@ def _shape(fcurve: bpy.types.FCurve, fitted: BezierCurve, frames: NDArray[np.flo
 
 
 def _push(
-    owner: bpy.types.ID, name: str, frames: NDArray[np.floating[Any]], curves: Sequence[Curve], *, add: bool = False
+    owner: bpy.types.ID,
+    name: str,
+    frames: NDArray[np.floating[Any]],
+    curves: Sequence[Curve],
+    action: CharacterAction,
+    *,
+    add: bool = False,
 ) -> None:
-    """Write the curves to a new action on a new track; the owner's active action is kept."""
+    """Write the curves to a new strip on a new track; the owner's active action is kept."""
     data = owner.animation_data or owner.animation_data_create()
     if not data.use_nla:  # the user has turned all tracks off
         for other in data.nla_tracks:
@@ -230,7 +237,7 @@ def _push(
         data.use_nla = True
     track = data.nla_tracks.new()
     track.name = TRACK  # Blender numbers it if the name is taken: strips on one track must not overlap
-    strip = track.strips.new(name, int(np.floor(frames[0])), bpy.data.actions.new(name))
+    strip = action.add_strip(owner, track, int(np.floor(frames[0])), name)
     _fill(owner, strip, frames, curves)
     _span(strip, float(frames[0]), float(frames[-1]))
     if add:

@@ -102,6 +102,7 @@ class CharacterAction:
         self._name, self._kind = name, kind
         playing = (data.action for owner in owners if (data := owner.animation_data) is not None)
         self._action = next((action for action in playing if action is not None and kind in action), None)
+        self._strips: bpy.types.Action | None = None
 
     @property
     def name(self) -> str:
@@ -120,6 +121,18 @@ class CharacterAction:
             self._action[self._kind] = True
         data.action = self._action
         data.action_slot = self._action.slots.new(id_type=owner.id_type, name=owner.name)
+
+    def add_strip(self, owner: bpy.types.ID, track: bpy.types.NlaTrack, frame: int, name: str) -> bpy.types.NlaStrip:
+        """Add a strip to a track of a data-block, which plays the action of all strips of the character, or one of that
+        name where actions have no slots.
+        """
+        if "slots" not in bpy.types.Action.bl_rna.properties:
+            return track.strips.new(name, frame, bpy.data.actions.new(name))
+        if self._strips is None:
+            self._strips = bpy.data.actions.new(self._name)
+        strip = track.strips.new(name, frame, self._strips)
+        strip.action_slot = self._strips.slots.new(id_type=owner.id_type, name=owner.name)
+        return strip
 
 
 def is_layer(holder: Holder | None) -> bool:
