@@ -82,6 +82,7 @@ _STRENGTHS = messages(
         "strength_cheeks": "Cheeks and Nose",
         "strength_jaw": "Jaw",
         "strength_mouth": "Mouth",
+        "strength_gaze": "Gaze",
     }
 )
 

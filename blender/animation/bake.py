@@ -201,21 +201,13 @@ def bake_pose(
         delta transforms is always added to: it is where the user placed them.
     """
     silenced = []
-    angle, length = clean or (None, None)
-    turns, moves = motion.rotation if rotation else None, motion.translation if translation else None
     carried = carried_targets(obj, targets["head"])
-    moved = [("Pose", target, turns, moves) for target in carried]
-    for part, target in _part_targets(obj, targets):
-        if part in JAW_PARTS:
-            moved.append(("Jaw", target, motion.jaw, None))
-        else:
-            moved.append(("Eyes", target, motion.gaze[:, EYE_PARTS.index(part)], None))
-    placed = placements(scene, [target for _, target, _, _ in moved], frames, keep=keep)
+    moved = posed_parts(obj, targets)
+    placed = placements(scene, [target for _, target in moved], frames, keep=keep)
     curves: dict[bpy.types.Object, list[Curve]] = {}
-    for (group, target, turns, moves), where in zip(moved, placed, strict=True):
-        found = target.curves(turns, moves, angle, length, where)
-        # Blender groups the curves of a bone by its name.
-        curves.setdefault(target.obj, []).extend(replace(curve, group=target.bone or group) for curve in found)
+    for (part, target), where in zip(moved, placed, strict=True):
+        found = part_curves(part, target, motion, clean, where, rotation=rotation, translation=translation)
+        curves.setdefault(target.obj, []).extend(found)
     for owner, owned in curves.items():
         name = f"{owner.name} {'Pose' if any(owner == target.obj for target in carried) else 'Motion'}"
         add = keep or owner.type != "ARMATURE"
@@ -228,6 +220,29 @@ def bake_pose(
         how = {"nla": nla, "add": keep, "leave_drivers": keep}
         silenced += write_curves(keys_of(child), name, frames, [curve], action=action, **how)
     return silenced
+
+
+def part_curves(
+    part: str,
+    target: PoseTarget,
+    motion: HeadMotion,
+    clean: tuple[float, float] | None,
+    where: Placement,
+    *,
+    rotation: bool,
+    translation: bool,
+) -> list[Curve]:
+    """Return the curves of a part of a head, or of its "Pose"; parameters are as for `bake_pose`."""
+    angle, length = clean or (None, None)
+    if part == "Pose":
+        moves = motion.translation if translation else None
+        curves = target.curves(motion.rotation if rotation else None, moves, angle, length, where)
+    else:
+        turns = motion.jaw if part in JAW_PARTS else motion.gaze[:, EYE_PARTS.index(part)]
+        curves = target.curves(turns, None, angle, length, where)
+    group = "Jaw" if part in JAW_PARTS else "Eyes" if part in EYE_PARTS else part
+    # Blender groups the curves of a bone by its name.
+    return [replace(curve, group=target.bone or group) for curve in curves]
 
 
 def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.ID]:
@@ -261,12 +276,18 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
 
 def pose_targets_of(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
     """Return everything that a bake of `obj` poses. Parameters are as for `check_bakeable`."""
-    return [*carried_targets(obj, targets["head"]), *(target for _, target in _part_targets(obj, targets))]
+    return [target for _, target in posed_parts(obj, targets)]
 
 
 def _all_targets(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:
     """Return everything that a bake of `obj` may pose, including `obj` itself, which an earlier bake may have posed."""
     return [PoseTarget(obj), *pose_targets_of(obj, targets)]
+
+
+def posed_parts(obj: bpy.types.Object, targets: Targets) -> list[tuple[str, PoseTarget]]:
+    """Return what a bake of `obj` poses, with its part, or "Pose". Parameters are as for `check_bakeable`."""
+    carried = carried_targets(obj, targets["head"])
+    return [*(("Pose", target) for target in carried), *_part_targets(obj, targets)]
 
 
 def _part_targets(obj: bpy.types.Object, targets: Targets) -> Iterator[tuple[str, PoseTarget]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -24,7 +24,6 @@ from ..controls.stored import read_controls, stored_map
 from ..fcurves import CharacterAction
 from ..muting import Silenced
 from .plan import Plan, Timing
-from .refit import LastBake
 
 
 @dataclass(frozen=True)
@@ -129,14 +128,23 @@ def controls_plan(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, uni
     check_controls(found)
     solved = solve_motion(obj, found, motion.vertices[:, found.sample].astype(np.float64))
     tolerance = bake.clean * unit if timing.is_whole else 0.0
-    curves = ControlCurves.of(found, timing.curves(solved.values), tolerance)
+    values = with_taught(found, solved.values, motion.controls)
+    curves = ControlCurves.of(found, timing.curves(values), tolerance)
 
     def write(action: CharacterAction) -> list[Silenced]:
-        LastBake.current = None
         return curves.write(obj, timing.keyed, action, nla=bake.nla, keep=bake.keep_animation)
 
     error, count = float(solved.errors.max(initial=0.0)), len(found.controls)
     return Plan(curves.count, error, write, keyframes=curves.keyframes, controls=count)
+
+
+def with_taught(found: RigMap, values: FloatArray, changes: Mapping[str, FloatArray]) -> FloatArray:
+    """Add what was taught, by `RigChannel.key`, to changes of the channels from rest (..., C), within their limits."""
+    values = np.array(values)
+    for number, channel in enumerate(found.channels):
+        if (change := changes.get(channel.key)) is not None:
+            values[..., number] = np.clip(values[..., number] + change, channel.low, channel.high)
+    return values
 
 
 def control_owners(head: bpy.types.Object) -> list[bpy.types.Object]:

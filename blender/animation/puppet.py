@@ -57,9 +57,10 @@ from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
 from .plan import Plan, Timing
 from .refit import LastBake
+from .refit_pose import ANGLE, LastPose
 from .resting import resting_values
 from .scene_range import fit_range, holding_take, outside_range, start_frame
-from .strengths import scaled
+from .strengths import scaled, scaled_pose
 from .targets import own_targets
 
 TOLERANCE = 0.009
@@ -67,10 +68,6 @@ TOLERANCE = 0.009
 _RESIDUAL_TOLERANCE = 0.02
 """The same for keys beside named ones. On the five shared clips named keys alone err by 12 to 25 %, with 13 to 24 more
 by 2 % (50 on the liveliest); 1 % takes as many more as a basis without any."""
-_ANGLE = 0.4
-"""Error of a quaternion's components for each eye distance that the curves may err: turned by twice that angle, skin at
-about 1.3 eye distances from the neck moves as far.
-"""
 _DEFAULTS = PuppetSettings()
 
 
@@ -108,12 +105,17 @@ def puppet_head(
         plan = _PLANS[bake.keys](obj, motion, timing, unit, bake)
     remove_baked(obj, targets)
     action = CharacterAction(obj.name, animated_owners(obj, targets))
+    LastBake.current = None
     silenced = plan.write(action)
     follow = {"rotation": settings.rotation, "translation": settings.translation}
-    clean = (_ANGLE * bake.clean, bake.clean * unit) if timing.is_whole and bake.clean > 0.0 else None
+    clean = (ANGLE * bake.clean, bake.clean * unit) if timing.is_whole and bake.clean > 0.0 else None
     how = {"nla": bake.nla, "keep": bake.keep_animation}
     posed = timing.motion(motion)
-    silenced += bake_pose(scene, obj, targets, posed, timing.keyed, **follow, clean=clean, action=action, **how)
+    strong = scaled_pose(obj, posed, timing.keyed)
+    silenced += bake_pose(scene, obj, targets, strong, timing.keyed, **follow, clean=clean, action=action, **how)
+    if (last := LastBake.current) is not None:
+        kept = LastPose.of(scene, obj, targets, posed, timing.keyed, (settings.rotation, settings.translation))
+        LastBake.current = replace(last, pose=kept)
     if not bake.keep_animation and not bake.writes_cache:
         silenced += mute_disturbing(obj, motion, drivers=bake.keys != CONTROLS)
     fit_range(scene, shown, bake.start, asked=bake.fit_range)

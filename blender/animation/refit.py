@@ -17,6 +17,7 @@ from ..characters import Member, members_of
 from ..fcurves import curves_in, is_layer, owned_paths
 from ..meshes import mesh_of
 from .bake_keys import RESIDUAL, KeyCurves, MeshKeys, bake_values, value_path
+from .refit_pose import ANGLE, LastPose
 from .strengths import scaled
 
 
@@ -38,6 +39,8 @@ class LastBake:
         Whole frames of the values.
     unit : float
         Eye distance of the head, in its unit.
+    pose : LastPose or None
+        The pose of the head.
     """
 
     current: ClassVar[LastBake | None] = None
@@ -48,6 +51,7 @@ class LastBake:
     curves: KeyCurves
     frames: FloatArray
     unit: float
+    pose: LastPose | None = None
 
     def is_untouched(self, members: Sequence[Member]) -> bool:
         """Whether all curves have the keyframes that the bake gave them."""
@@ -104,5 +108,9 @@ def refit(error: float) -> bool:
     values = scaled(head, last.keys, last.values, last.frames, residual)
     curves = replace(last.curves, values=values).fitted_within(last.keys, error * last.unit)
     bake_values(members, curves, last.frames)
-    LastBake.current = replace(last, curves=curves)
+    pose = last.pose
+    if pose is not None:
+        clean = (ANGLE * error, error * last.unit) if error > 0.0 else None
+        pose = replace(pose, written=pose.fitted(head, clean, write=True))
+    LastBake.current = replace(last, curves=curves, pose=pose)
     return True

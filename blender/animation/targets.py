@@ -213,6 +213,8 @@ class PoseTarget:
                 offset = Vector(row) - Vector(at[:])
             return self._curves(channel, values if added_to is None else values - added_to, tolerance)
         values = continuous_quaternions([matrix.to_quaternion() for matrix in matrices])
+        if channel == "rotation_quaternion" and tolerance is not None:
+            tolerance /= 2.0  # a quaternion changes by half of the angle
         return self._curves(channel, values if channel == "rotation_quaternion" else _axis_angles(values), tolerance)
 
     def rest(self) -> None:

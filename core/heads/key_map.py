@@ -48,6 +48,8 @@ _GROUPS = {
     "Cheeks and Nose": ("cheek", "nose", "sneer"),
 }
 """For each group of curves, what coefficients and other names of it contain."""
+_LOOK = "eyelook"
+"""What the names of the coefficients of the gaze contain."""
 _OTHERS = "Face"
 """Group of all other curves."""
 
@@ -316,6 +318,12 @@ def curve_groups(keys: Sequence[str]) -> dict[str, str]:
     """Return the name of the group of curves for each of `keys`, by what it moves."""
     sources = {row.key: row.source for preset in reversed(presets()) for row in preset.matched(keys, ranked=False).rows}
     return {key: _group(sources.get(key, key)) for key in keys}
+
+
+def gaze_keys(keys: Sequence[str]) -> set[str]:
+    """Return those of `keys` that show where the eyes look."""
+    sources = {row.key: row.source for preset in reversed(presets()) for row in preset.matched(keys, ranked=False).rows}
+    return {key for key in keys if _LOOK in normalised(sources.get(key, key))}
 
 
 def _group(name: str) -> str:
