@@ -323,33 +323,35 @@ class _Fit:
         reach = stop - at
         table = segments(min(longest, int(reach.max())))
         columns = np.minimum(at[:, None] + np.arange(table.rise.shape[1]), self._values.shape[1] - 1)
-        values, limits = self._values[curve[:, None], columns], allowed[curve[:, None], columns]
-        low, high = self._low[curve, None], self._high[curve, None]
-        lengths = np.arange(1, len(table.rise) + 1)
-        first, last = values[:, :1], values[:, 1:]
+        # Relative to the start, single precision is enough, and takes half of the time.
+        own, origin = self._values[curve[:, None], columns], self._values[curve, at, None]
+        values, limits = (own - origin).astype(np.float32), allowed[curve[:, None], columns].astype(np.float32)
+        low, high = ((limit[curve, None] - origin).astype(np.float32) for limit in (self._low, self._high))
+        before, counts = before.astype(np.float32), np.arange(1, len(table.rise) + 1)
+        lengths, last = counts.astype(np.float32), values[:, 1:]
         # What the slopes have to explain at the inner frames of a segment of each length, (R, L, L + 1).
-        left = values[:, None] - first[..., None] - table.rise * (last - first)[..., None]
+        left = values[:, None] - table.rise * last[..., None]
         left *= table.inner
-        possible = lengths <= reach[:, None]
+        possible = counts <= reach[:, None]
 
-        def judged(start: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+        def judged(start: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
             """Slopes (R, L) at the ends after those at the starts, and whether the segments are within tolerance."""
             rest = left - table.start * start[..., None]
             end = np.einsum("rli,li->rl", rest, table.last)
-            end = np.where(lengths == 1, last - first, end)
+            end = np.where(counts == 1, last, end)
             end = np.clip(end, 3.0 * (last - high) / lengths, 3.0 * (last - low) / lengths)
             rest -= table.end * end[..., None]
             return end, possible & (np.abs(rest) <= limits[:, None]).all(axis=2)
 
-        lowest, highest = 3.0 * (low - first) / lengths, 3.0 * (high - first) / lengths
+        lowest, highest = 3.0 * low / lengths, 3.0 * high / lengths
         free = np.einsum("rli,li->rl", left, table.first)
-        free = np.clip(np.where(lengths == 1, last - first, free), lowest, highest)
+        free = np.clip(np.where(counts == 1, last, free), lowest, highest)
         smooth = np.clip(np.broadcast_to(before[:, None], free.shape), lowest, highest)
         rows = np.arange(len(curve))
         chosen = _Longest(np.ones(len(curve), dtype=np.intp), np.zeros(len(curve)), np.zeros(len(curve)))
         for start, bonus in ((free, 1.0), (smooth, 1.0 / _ALIGNED)):
             end, fits = judged(start)
-            found = np.maximum(np.where(fits, lengths, 0).max(axis=1), 1)
+            found = np.maximum(np.where(fits, counts, 0).max(axis=1), 1)
             better = found * bonus >= chosen.lengths
             for out, part in zip(chosen, (found, start[rows, found - 1], end[rows, found - 1]), strict=True):
                 out[better] = part[better]

@@ -24,20 +24,20 @@ class Segments(NamedTuple):
     ----------
     inner : bool
         Whether it is an inner frame.
-    rise, start, end : float64
+    rise, start, end : float32
         Hermite's cubics there.
-    first : float64
+    first : float32
         Factors of the inner frames whose sum is the slope at the start.
-    last : float64
+    last : float32
         The same for that at the end, if that at the start is given.
     """
 
     inner: NDArray[np.bool_]
-    rise: FloatArray
-    start: FloatArray
-    end: FloatArray
-    first: FloatArray
-    last: FloatArray
+    rise: NDArray[np.float32]
+    start: NDArray[np.float32]
+    end: NDArray[np.float32]
+    first: NDArray[np.float32]
+    last: NDArray[np.float32]
 
 
 @cache
@@ -56,4 +56,4 @@ def segments(longest: int) -> Segments:
     first = (bb[:, None] * start - ab[:, None] * end) / determinant[:, None]
     first[single] = start[single] / (aa + bb)[single, None]
     last = np.divide(end, bb[:, None], out=np.zeros_like(end), where=bb[:, None] > 0.0)
-    return Segments(inner, rise, start, end, first, last)
+    return Segments(inner, *(part.astype(np.float32) for part in (rise, start, end, first, last)))
