@@ -59,14 +59,14 @@ class Example:
         than the skin are added to the motion with which they follow it. Empty if a head was taught that its keys drive.
     keys : mapping of str to float
         Changes of the values of shape keys, for a head that its keys drive; empty if none was changed.
-    controls : mapping of str to float
-        Changes of the channels of a rig, by `RigChannel.key`, for a head that its controls drive.
     weight : float
         Factor of the offsets, 0 to 2.
     muted : bool
         Whether the example is left out.
     thumbnail : bytes
         Picture of the head in PNG format; empty without one.
+    controls : mapping of str to float
+        Changes of the channels of a rig, by `RigChannel.key`, for a head that its controls drive.
     """
 
     name: str
@@ -74,10 +74,10 @@ class Example:
     expression: FloatArray
     offsets: NDArray[np.float32] = field(default_factory=_no_offsets)
     keys: Mapping[str, float] = field(default_factory=dict)
-    controls: Mapping[str, float] = field(default_factory=dict)
     weight: float = 1.0
     muted: bool = False
     thumbnail: bytes = b""
+    controls: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

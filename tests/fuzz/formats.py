@@ -327,7 +327,9 @@ def _style_arrays() -> Arrays:
     shown = driver.frame(result)
     offsets = np.zeros_like(shown.vertices)
     offsets[:50] = 0.01
-    example = Example("Smile", "Anna", driver.expression(result), offsets, {"mouthSmileLeft": 0.4}, 0.5)
+    example = Example(
+        "Smile", "Anna", driver.expression(result), offsets, {"mouthSmileLeft": 0.4}, 0.5, controls={"jaw": 0.1}
+    )
     pictured = replace(example, thumbnail=thumbnail(rig, shown.vertices))
     with np.load(io.BytesIO(style_bytes(Style((pictured, example))))) as archive:
         return {name: archive[name] for name in archive.files}

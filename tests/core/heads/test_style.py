@@ -1,11 +1,15 @@
 """Styles: their file, and what is refused."""
 
+import io
+import json
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from facemime.core.errors import HeadError, OutputError, SourceError
 from facemime.core.heads.rig import built_in_head
-from facemime.core.heads.style import N_FEATURES, Example, Style, load_style, save_style
+from facemime.core.heads.style import N_FEATURES, Example, Style, load_style, save_style, style_bytes, style_of
 from facemime.core.heads.thumbnail import SIDE, pixels_of, thumbnail
 
 
@@ -20,7 +24,8 @@ def style() -> Style:
         weight=0.5,
         thumbnail=b"picture",
     )
-    second = Example("笑", "Bär", rng.normal(size=N_FEATURES), keys={"mouthSmile_L": 0.25, 'a "key"': -0.5}, muted=True)
+    keys, controls = {"mouthSmile_L": 0.25, 'a "key"': -0.5}, {"Hinge rotation x": 0.2}
+    second = Example("笑", "Bär", rng.normal(size=N_FEATURES), keys=keys, controls=controls, muted=True)
     return Style((first, second))
 
 
@@ -30,7 +35,7 @@ def test_a_style_is_the_same_after_a_round_trip(tmp_path):
     for read, written in zip(load_style(path).examples, style().examples, strict=True):
         np.testing.assert_array_equal(read.expression, written.expression)
         np.testing.assert_array_equal(read.offsets, written.offsets)
-        names = ("name", "performer", "keys", "weight", "muted", "thumbnail")
+        names = ("name", "performer", "keys", "controls", "weight", "muted", "thumbnail")
         assert [getattr(read, name) for name in names] == [getattr(written, name) for name in names]
     save_style(Style(), path)
     assert load_style(path) == Style()
@@ -63,6 +68,7 @@ def test_other_files_missing_ones_and_folders_are_refused(tmp_path):
         Example("a", "", np.zeros(N_FEATURES), np.full((3, 3), 1e20, np.float32)),
         Example("a", "", np.zeros(N_FEATURES), weight=9.0),
         Example("a", "", np.zeros(N_FEATURES), keys={"a": 1e9}),
+        Example("a", "", np.zeros(N_FEATURES), controls={"a": 1e9}),
         Example("a" * 300, "", np.zeros(N_FEATURES)),
     ],
 )
@@ -83,3 +89,19 @@ def test_a_thumbnail_shows_the_head_and_other_pictures_are_none():
     pixels = pixels_of(thumbnail(rig, rig.all_vertices))
     assert pixels.shape == (SIDE, SIDE, 4) and pixels[..., 0].max() > 0.6 and pixels[..., 0].std() > 0.1
     assert pixels[SIDE // 2, SIDE // 2, 0] > 0.4 and pixels_of(b"picture" * 9) is None and pixels_of(b"") is None
+
+
+def test_a_style_of_an_earlier_version_has_no_controls(tmp_path):
+    stored = dict(np.load(io.BytesIO(style_bytes(style()))))
+    described = json.loads(str(stored["style"]))
+    for example in described["examples"]:
+        del example["controls"]
+    stored["style"] = np.array(json.dumps(described))
+    np.savez(path := tmp_path / "old.npz", **stored)
+    assert not any(example.controls for example in style_of(path.read_bytes()).examples)
+
+
+def test_an_example_of_controls_fits_any_mesh():
+    example = replace(style().examples[0], controls={"Hinge rotation x": 0.2})
+    (kept,) = Style((example,)).fitted_to(7, ()).examples
+    assert kept.controls == example.controls and not len(kept.offsets)
