@@ -24,8 +24,9 @@ from tests.helpers.owners import UNDER_WINE
 from tests.helpers.scans import scanned
 from tests.helpers.takes import performance
 
-_ENDING = 120
-"""Seconds until a Blender that hangs on exit, as 4.5 does if something is still registered, is killed."""
+_ENDING = 20
+"""Seconds until a Blender that hangs on exit, as 4.5 as a module does if its thread that closes files has started, is
+killed."""
 
 
 def pytest_unconfigure(config):
