@@ -15,6 +15,7 @@ import numpy as np
 
 from ..errors import DataError, Message, ModelError
 from ..face.landmarks import INNER, N_LANDMARKS
+from ..face.rotation import fit_rotation
 from ..files.reading import read_bytes
 from ..numeric.arrays import FloatArray
 from .linear_experts import LinearExpert, LinearModel, LinearView
@@ -174,12 +175,11 @@ def _onto(points: FloatArray, target: FloatArray) -> tuple[FloatArray, FloatArra
     """
     centre, aim = points[INNER].mean(axis=0), target[INNER].mean(axis=0)
     a, b = points[INNER] - centre, target[INNER] - aim
-    u, spread, vt = np.linalg.svd(b.T @ a)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    turn: FloatArray = (spread * sign).sum() / max(float((a * a).sum()), 1e-12) * (u * sign) @ vt
+    rotation = fit_rotation(a, b)
+    turn = float((b * (a @ rotation.T)).sum()) / max(float((a * a).sum()), 1e-12) * rotation
     moved: FloatArray = (points - centre) @ turn.T + aim
     # A face that has to be turned far does not look along our axes.
     away = float(np.sqrt(np.square(moved - target)[INNER].sum(axis=1).mean()))
-    if not away <= _LARGEST_MISFIT or np.trace(turn) < 2.5 * np.linalg.norm(turn, 2):
+    if not away <= _LARGEST_MISFIT or np.trace(rotation) < 2.5:
         raise DataError("its points are not those of a face in the usual order")
     return turn, moved
