@@ -39,7 +39,7 @@ _MAX_MODES = 512
 """Largest number of modes, as many as a take can hold."""
 _MAX_PARTS = 16
 """Largest number of parts."""
-_ADVICE = Message("Reinstall Facemime, or rebuild the model with `make model`.")
+_ADVICE = Message("If you chose this file, choose another one; otherwise reinstall Facemime.")
 
 
 @dataclass(frozen=True)
