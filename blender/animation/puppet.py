@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import bpy
 import numpy as np
 
-from ...core.bake.arkit import arkit_coefficients
+from ...core.bake.arkit import arkit_coefficients, look_factors
 from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
 from ...core.bake.fit import MotionBasis, fit_basis, fit_keys, mix_errors
 from ...core.bake.point_cache import SUFFIX
@@ -99,8 +100,8 @@ def puppet_head(
         add_missing_units(obj)
     if bake.keys == "mapped":
         expressions = [driver.expression(take.result(int(frame))) for frame in np.flatnonzero(take.found)]
-        coefficients = arkit_coefficients(take, neutral, settings.drive)
-        motion, plan = _mapped(obj, rig, motion, timing, unit, bake, (coefficients, expressions))
+        solved = partial(arkit_coefficients, take, neutral, settings.drive)
+        motion, plan = _mapped(obj, rig, motion, timing, unit, bake, (solved, expressions))
     else:
         plan = _PLANS[bake.keys](obj, motion, timing, unit, bake)
     remove_baked(obj, targets)
@@ -243,14 +244,17 @@ def _mapped(
     timing: Timing,
     unit: float,
     bake: BakeSettings,
-    performed: tuple[FloatArray, Sequence[FloatArray]],
+    performed: tuple[Callable[[FloatArray], FloatArray], Sequence[FloatArray]],
 ) -> tuple[HeadMotion, Plan]:
-    """Plan a bake by a mapping of what was `performed`: the coefficients (N, 52), and N expressions, which are
-    corrected as was taught. The motion of a head that has no other is that of its keys.
+    """Plan a bake by a mapping of what was `performed`: the coefficients (N, 52), given the factors of the eyes'
+    directions, and N expressions, which are corrected as was taught. The motion of a head that has no other is that of
+    its keys.
     """
     members, taught = members_of(obj), TaughtKeys(rig.style)
-    keys, (coefficients, expressions) = read_keys(members), performed
-    values = table_for(obj, bake.table).apply(coefficients, keys.ranges)
+    keys, (solved, expressions) = read_keys(members), performed
+    table = table_for(obj, bake.table)
+    looks = look_factors(rig, table, dict(zip(keys.names, keys.offsets, strict=True)))
+    values = table.apply(solved(looks), keys.ranges)
     values = taught.corrected(values, expressions, keys.ranges, resting_values(members, taught.names))
     if not values:
         raise HeadError(

@@ -5,11 +5,12 @@ They serve other programs, tables and key mappings; a head that is driven direct
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..drive.actions import ActionDriver
 from ..drive.drive_settings import DriveSettings, PosingSettings
@@ -18,8 +19,10 @@ from ..drive.retarget import retargeter_for
 from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.names import ACTIONS, COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED, action_indices
-from ..face.rotation import euler_to_matrix
-from ..heads.built_in import LOOKS, load_head, looks_of
+from ..face.rotation import euler_to_matrix, fit_rotation
+from ..heads.built_in import LOOK_ANGLES, LOOKS, load_head, looks_of
+from ..heads.key_map import KeyMap
+from ..heads.rig import HeadRig, Part
 from ..numeric.arrays import FloatArray
 from ..numeric.linalg import multiply
 from ..takes.face_space import without_similarity
@@ -29,7 +32,16 @@ from ..tracking.result import TrackResult, mirror_result
 from .coefficients import CoefficientSolver, has_actions, load_coefficient_model
 from .fit import fit_keys
 
-__all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of"]
+__all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of", "look_factors"]
+
+_LEAST_MOTION = 0.005
+"""Motion by a key, in eye distances, from which a vertex counts as moved: the front of an eye turns by 1.4 degrees."""
+_LEAST_VERTICES = 8
+"""Smallest number of vertices of an eyeball."""
+_LARGEST_MISFIT = 0.2
+"""Largest share of a key's motion of an eyeball that is no rotation; on an avatar with keys of 23 degrees it is 0.1."""
+_MOST = 3.0
+"""Largest factor between the angle of a key and a phone's: beyond it, the key's range would end too soon."""
 
 
 class Observer:
@@ -134,7 +146,9 @@ _SLOPES = {"browInnerUp": 0.54, "browOuterUpLeft": 0.72, "browOuterUpRight": 0.7
 by 7.1 and 9.7 % of the eye distance, and those that phones mean by 13.1 and 13.5 %."""
 
 
-def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS) -> FloatArray:
+def arkit_coefficients(
+    take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS, looks: FloatArray | None = None
+) -> FloatArray:
     """Compute ARKit's coefficients of a take.
 
     Parameters
@@ -145,6 +159,8 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
         The performer's neutral face.
     options : DriveSettings
         Strength, mirror, the settings of the eyes, and whether only landmarks count; other settings are not used.
+    looks : (8,) float64, optional
+        Factors of the eyes' directions, from `look_factors`, for the keys of a head; by default those of a phone.
 
     Returns
     -------
@@ -177,7 +193,7 @@ def arkit_coefficients(take: Take, neutral: Neutral, options: DriveSettings = _D
     known = np.isfinite(stated).all(axis=1)
     if not known.all():
         found = _found(observer, results)
-        stated[~known] = found[~known]
+        stated[~known] = found[~known] if looks is None else _scaled(found[~known], looks)
     return stated
 
 
@@ -200,8 +216,9 @@ class FrameCoefficients:
     The neutral face is the performer's, not mirrored.
     """
 
-    def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
+    def __init__(self, neutral: Neutral, options: DriveSettings, looks: FloatArray | None = None) -> None:
         posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
+        self._looks = looks
         self._observer = Observer(neutral, replace(options, posing=posing))
         self._measured = neutral.measured
         self._near = np.zeros((1, len(FITTED)))
@@ -212,13 +229,52 @@ class FrameCoefficients:
         stated = self._observer.stated(result)
         if np.isfinite(stated).all():
             return stated
+        found = self._found(result)
+        return np.asarray((found if self._looks is None else _scaled(found, self._looks))[0])
+
+    def _found(self, result: TrackResult) -> FloatArray:
+        """Fit the coefficients (1, 52) of a frame."""
         gaze = self._observer.gaze(result)[None]
         if self._measured:
-            return np.asarray(_with_looks(_fitted(self._observer.displacements(result)[None]), gaze)[0])
+            return _with_looks(_fitted(self._observer.displacements(result)[None]), gaze)
         observed = self._observer.face(result)[None]
         actions = bool(has_actions(observed)[0])
         found = _with_looks(_as_phones(_solver(actions).frames(observed, self._near)), gaze)
-        return np.asarray(_with_measured(found, self._observer.shown(result)[None])[0])
+        return _with_measured(found, self._observer.shown(result)[None])
+
+
+def look_factors(rig: HeadRig, table: KeyMap, offsets: Mapping[str, NDArray[np.float32]]) -> FloatArray:
+    """Return by what to multiply the coefficients of `LOOKS`, (8,), so that keys turn eyes as far as the performer's.
+
+    `offsets` are displacements of `rig.all_vertices`. A factor is 1 where keys turn no eyeball, and where the user has
+    chosen a gain.
+    """
+    factors, apart = np.ones(len(LOOKS)), rig.kinds != Part.SKIN
+    for place, (column, (_, axis, angle)) in enumerate(zip(LOOKS.tolist(), LOOK_ANGLES, strict=True)):
+        rows = [row for row in table.rows if row.source == COEFFICIENTS[column] and row.key in offsets]
+        if not rows or any(abs(row.gain) != 1.0 for row in rows):
+            continue
+        motion = np.sum([row.gain * offsets[row.key] for row in rows], axis=0)
+        turning = np.flatnonzero(apart & (np.linalg.norm(motion, axis=1) > _LEAST_MOTION * rig.eye_distance))
+        if len(turning) < _LEAST_VERTICES:
+            continue
+        rest = rig.all_vertices[turning].astype(np.float64)
+        moved = rest + motion[turning]
+        rest, moved = rest - rest.mean(axis=0), moved - moved.mean(axis=0)
+        rotation = fit_rotation(rest, moved)
+        if np.linalg.norm(moved - rest @ rotation.T) > _LARGEST_MISFIT * np.linalg.norm(moved - rest):
+            continue  # lashes, or both eyes by one key
+        forward = -rotation[:, 2]
+        turned = float(np.arctan2(forward[axis], -forward[2]))
+        if turned * angle > 0.0:
+            factors[place] = np.clip(angle / turned, 1.0 / _MOST, _MOST)
+    return factors
+
+
+def _scaled(coefficients: FloatArray, looks: FloatArray) -> FloatArray:
+    """Scale the directions of the eyes in coefficients (N, 52), in place."""
+    coefficients[:, LOOKS] = np.clip(coefficients[:, LOOKS] * looks, 0.0, 1.0)
+    return coefficients
 
 
 def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:

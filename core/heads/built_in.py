@@ -213,7 +213,7 @@ LOOKS: NDArray[np.intp] = np.array(
 """(8,) columns of the coefficients for the direction of the eyes."""
 EYE_REACH = np.radians((35.2, 33.0))
 """Pitch and yaw of an eye in radians at which an iPhone states a coefficient of 1, from 560 of its packets."""
-_LOOKED = tuple(
+LOOK_ANGLES = tuple(
     (side, axis, sign * float(EYE_REACH[1 - axis]))
     for side, outwards in ((1, 1.0), (0, -1.0))
     for axis, sign in ((0, -outwards), (0, outwards), (1, -1.0), (1, 1.0))
@@ -228,7 +228,7 @@ def looks_of(rotations: FloatArray) -> FloatArray:
     """
     forward = -rotations[..., 2]
     turned = np.stack([np.arctan2(forward[..., axis], -forward[..., 2]) for axis in (0, 1)])
-    columns = [np.clip(turned[axis][:, side] / reach, 0.0, 1.0) for side, axis, reach in _LOOKED]
+    columns = [np.clip(turned[axis][:, side] / reach, 0.0, 1.0) for side, axis, reach in LOOK_ANGLES]
     return np.column_stack(columns)
 
 
@@ -238,7 +238,7 @@ def gaze_of(looks: FloatArray) -> tuple[FloatArray, float]:
     The pitch is the mean of both eyes.
     """
     angles = np.zeros((2, 2))
-    for value, (side, axis, reach) in zip(looks.tolist(), _LOOKED, strict=True):
+    for value, (side, axis, reach) in zip(looks.tolist(), LOOK_ANGLES, strict=True):
         angles[side, axis] += value * reach
     return gaze_of_eyes(np.array([[atan2(tan(down) * cos(across), 1.0), -across] for across, down in angles.tolist()]))
 

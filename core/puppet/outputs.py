@@ -11,7 +11,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bake.arkit import FrameCoefficients
+from ..bake.arkit import FrameCoefficients, look_factors
 from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver, HeadFrame
 from ..drive.teaching import TaughtKeys
@@ -50,7 +50,8 @@ class KeyDriver:
 
     def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
         self.head, self.keys = head, keys
-        self._coefficients = FrameCoefficients(neutral, head.options)
+        looks = look_factors(head.rig, keys.table, keys.offsets)
+        self._coefficients = FrameCoefficients(neutral, head.options, looks)
         self.taught = TaughtKeys(head.rig.style)
 
     def frame(self, result: TrackResult) -> HeadFrame:
