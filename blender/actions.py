@@ -19,6 +19,7 @@ from ..core.errors import HeadError
 from .fcurves import (
     TRACK,
     CharacterAction,
+    Holder,
     curves_in,
     curves_to_fill,
     disown_paths,
@@ -116,6 +117,30 @@ def write_curves(
         (action or CharacterAction(name, ())).give(owner, name)
     _fill(owner, data, frames, curves)
     return muted
+
+
+def baked_holders(owner: bpy.types.ID) -> list[Holder]:
+    """Return what plays the curves of bakes of a data-block: its active action, and strips, as below corrections."""
+    data = owner.animation_data
+    return [holder for holder in (data, *tracked_strips(owner)) if holder is not None and owned_paths(holder)]
+
+
+def baked_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    """Return the curves of a data-block that bakes wrote."""
+    return [
+        fcurve
+        for holder in baked_holders(owner)
+        for fcurve in curves_in(holder)
+        if fcurve.data_path in owned_paths(holder)
+    ]
+
+
+def rewrite_curves(owner: bpy.types.ID, frames: NDArray[np.floating[Any]], curves: Sequence[Curve]) -> None:
+    """Write curves again wherever a bake wrote those of the same channels."""
+    for holder in baked_holders(owner):
+        owned = owned_paths(holder)
+        there = {(fcurve.data_path, fcurve.array_index) for fcurve in curves_in(holder) if fcurve.data_path in owned}
+        _fill(owner, holder, frames, [curve for curve in curves if (curve.data_path, curve.index) in there])
 
 
 def check_curves(owner: bpy.types.ID) -> None:

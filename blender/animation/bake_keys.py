@@ -269,6 +269,13 @@ class KeyCurves:
             fitted = fit_key_curves(self.values, keys.offsets, tolerance, keys.lower, keys.upper)
         return replace(self, fitted=tuple(fitted))
 
+    def to_write(self) -> dict[str, Curve]:
+        """Return the curves by the names of their keys."""
+        return {
+            name: Curve(value_path(name), 0, values, fitted=fitted, group=self.groups[name])
+            for name, values, fitted in zip(self.names, self.values.T, self.fitted, strict=True)
+        }
+
     @property
     def keyframes(self) -> int:
         """Number of keyframes of all keys."""
@@ -297,10 +304,7 @@ def bake_values(
     keep : bool
         Whether other animation of the keys is added to, and drivers are left, instead of muting them.
     """
-    curves = {
-        name: Curve(value_path(name), 0, values, fitted=fitted, group=keys.groups[name])
-        for name, values, fitted in zip(keys.names, keys.values.T, keys.fitted, strict=True)
-    }
+    curves = keys.to_write()
     silenced, family = [], family_keys(members)
     for obj in (member.obj for member in members):
         if (own_keys := mesh_of(obj).shape_keys) is not None:

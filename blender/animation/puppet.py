@@ -319,7 +319,7 @@ def _values_plan(
         members = members_of(obj)
         if added is not None:
             add_keys(members, added.names, added.offsets)
-        fits_again = timing.is_whole and not (bake.nla or bake.keep_animation)
+        fits_again = timing.is_whole and not bake.keep_animation
         LastBake.current = LastBake(obj.name, keys, values, curves, timing.keyed, unit) if fits_again else None
         return bake_values(members, curves, timing.keyed, action=action, nla=bake.nla, keep=bake.keep_animation)
 

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.numeric.arrays import FloatArray
+from ..actions import baked_curves, rewrite_curves
 from ..characters import Member, members_of
-from ..fcurves import curves_in, is_layer, owned_paths
 from ..meshes import mesh_of
-from .bake_keys import RESIDUAL, KeyCurves, MeshKeys, bake_values, value_path
+from .bake_keys import RESIDUAL, KeyCurves, MeshKeys, value_path
 from .refit_pose import ANGLE, LastPose
 from .strengths import scaled
 
 
 @dataclass(frozen=True)
 class LastBake:
-    """A bake of shape keys to the active actions of a head.
+    """A bake of shape keys of a head.
 
     Attributes
     ----------
@@ -56,10 +56,10 @@ class LastBake:
     def is_untouched(self, members: Sequence[Member]) -> bool:
         """Whether all curves have the keyframes that the bake gave them."""
         columns = {value_path(name): column for column, name in enumerate(self.curves.names)}
-        written = list(_curves_of(members))
+        # Below corrections, keys that are corrected but not baked have curves, too.
+        written = [fcurve for fcurve in _curves_of(members) if fcurve.data_path in columns]
         return bool(written) and all(
-            fcurve.data_path in columns and np.array_equal(_points(fcurve), self._points(columns[fcurve.data_path]))
-            for fcurve in written
+            np.array_equal(_points(fcurve), self._points(columns[fcurve.data_path])) for fcurve in written
         )
 
     def _points(self, column: int) -> NDArray[np.float32]:
@@ -76,17 +76,18 @@ def _points(fcurve: bpy.types.FCurve) -> NDArray[np.float32]:
     return flat.reshape(-1, 2)
 
 
+def _keys_of(members: Sequence[Member]) -> list[bpy.types.Key]:
+    return [keys for member in members if (keys := mesh_of(member.obj).shape_keys) is not None]
+
+
 def _curves_of(members: Sequence[Member]) -> Iterator[bpy.types.FCurve]:
-    """Yield the curves of the shape keys of a head that a bake wrote to active actions; none below corrections."""
-    every = [keys for member in members if (keys := mesh_of(member.obj).shape_keys) is not None]
-    if not any(is_layer(keys.animation_data) for keys in every):
-        for keys in every:
-            baked = owned_paths(keys.animation_data)
-            yield from (fcurve for fcurve in curves_in(keys.animation_data) if fcurve.data_path in baked)
+    """Yield the curves of the shape keys of a head that a bake wrote, also on NLA tracks and below corrections."""
+    for keys in _keys_of(members):
+        yield from baked_curves(keys)
 
 
 def keyframe_count(head: bpy.types.Object) -> int:
-    """Return the number of keyframes of the shape keys of a head that a bake wrote to active actions."""
+    """Return the number of keyframes of the shape keys of a head that a bake wrote."""
     counts = {fcurve.data_path: len(fcurve.keyframe_points) for fcurve in _curves_of(members_of(head))}
     return sum(counts.values())
 
@@ -107,7 +108,8 @@ def refit(error: float) -> bool:
     residual = [name for name, group in last.curves.groups.items() if group == RESIDUAL]
     values = scaled(head, last.keys, last.values, last.frames, residual)
     curves = replace(last.curves, values=values).fitted_within(last.keys, error * last.unit)
-    bake_values(members, curves, last.frames)
+    for owner in _keys_of(members):
+        rewrite_curves(owner, last.frames, list(curves.to_write().values()))
     pose = last.pose
     if pose is not None:
         clean = (ANGLE * error, error * last.unit) if error > 0.0 else None

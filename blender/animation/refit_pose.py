@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadMotion
 from ...core.numeric.arrays import FloatArray
-from ..actions import Curve, write_curves
-from ..fcurves import curves_in, is_layer
+from ..actions import Curve, baked_curves, rewrite_curves
 from .bake import Targets, part_curves, placements, posed_parts
 from .strengths import scaled_pose
 from .targets import Placement, PoseTarget
@@ -46,7 +45,7 @@ class _Part:
 
 @dataclass(frozen=True)
 class LastPose:
-    """The pose of a bake in the active actions of a head.
+    """The pose of a bake of a head.
 
     Attributes
     ----------
@@ -97,7 +96,7 @@ class LastPose:
             keys = {(curve.data_path, curve.index) for curve in curves}
             there = _points_of(owner, keys)
             if write and _same(there, self.written.get(name, {})):
-                write_curves(owner, name, self.frames, curves)
+                rewrite_curves(owner, self.frames, curves)
                 there = _points_of(owner, keys)
             elif write:
                 there = self.written.get(name, {})
@@ -109,16 +108,16 @@ class LastPose:
         curves: dict[str, list[Curve]] = {}
         rotation, translation = self.follow
         for part in self.parts:
-            if (target := part.found()) is not None and not is_layer(target.obj.animation_data):
+            if (target := part.found()) is not None:
                 how = {"rotation": rotation, "translation": translation}
                 curves.setdefault(part.obj, []).extend(part_curves(part.part, target, motion, clean, part.where, **how))
         yield from ((name, own) for name, own in curves.items() if own)
 
 
 def _points_of(owner: bpy.types.Object, keys: set[tuple[str, int]]) -> _Points:
-    """Return the keyframes of curves in the active action of an object."""
+    """Return the keyframes of curves that a bake wrote for an object."""
     found: _Points = {}
-    for fcurve in curves_in(owner.animation_data):
+    for fcurve in baked_curves(owner):
         if (key := (fcurve.data_path, fcurve.array_index)) in keys:
             flat = np.empty(2 * len(fcurve.keyframe_points), dtype=np.float32)
             fcurve.keyframe_points.foreach_get("co", flat)

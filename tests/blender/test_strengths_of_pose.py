@@ -4,8 +4,9 @@ import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.animation.corrections import add_layer
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.animation.refit import refit
+from facemime.blender.animation.refit import keyframe_count, refit
 from facemime.blender.fcurves import curves_in
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import keys_of
@@ -35,6 +36,15 @@ def turns(obj):
     return np.array(found)
 
 
+def values(head, key):
+    """Values of a shape key in some frames."""
+    found = []
+    for frame in FRAMES:
+        bpy.context.scene.frame_set(frame)
+        found.append(keys_of(head).key_blocks[key].value)
+    return np.array(found)
+
+
 @pytest.mark.parametrize("again", [False, True], ids=["at once", "in another bake"])
 def test_strengths_scale_the_eyes_and_the_lower_teeth(again):
     head = add_head(bpy.context, units=True)
@@ -51,6 +61,32 @@ def test_strengths_scale_the_eyes_and_the_lower_teeth(again):
     if again:
         bake(head)
     np.testing.assert_allclose(turns(eye), looks, atol=0.01)
+
+
+@pytest.mark.parametrize("where", ["below corrections", "on NLA tracks"])
+def test_strengths_and_detail_act_at_once_where_the_bake_is_on_tracks(where):
+    head = add_head(bpy.context, units=True)
+    eye = part_of(head, "eye_left")
+    bake(head, nla=where == "on NLA tracks")
+    if where == "below corrections":
+        add_layer(head)
+        jaw = keys_of(head).key_blocks["jawOpen"]
+        jaw.value = 0.0
+        jaw.keyframe_insert("value", frame=10)
+        added = curves_in(keys_of(head).animation_data)[0]
+        added.keyframe_points[0].co.y = added.keyframe_points[0].handle_left.y = 0.1
+        added.keyframe_points[0].handle_right.y = 0.1
+        added.update()
+    looks, opens = turns(eye), values(head, "jawOpen")
+    assert opens.max() > 0.2
+    head.facemime.strength_gaze, head.facemime.strength_jaw = 0.5, 0.0
+    np.testing.assert_allclose(turns(eye), 0.5 * looks, atol=0.01)
+    corrected = 0.1 if where == "below corrections" else 0.0
+    np.testing.assert_allclose(values(head, "jawOpen"), corrected, atol=0.02)
+    head.facemime.strength_gaze = head.facemime.strength_jaw = 1.0
+    np.testing.assert_allclose(values(head, "jawOpen"), opens, atol=0.01)
+    fewest = keyframe_count(head)
+    assert refit(0.0) and keyframe_count(head) > 2 * fewest
 
 
 def test_keyframes_of_the_strength_of_the_gaze_count():
