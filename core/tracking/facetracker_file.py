@@ -19,6 +19,7 @@ from ..face.rotation import fit_rotation
 from ..files.reading import read_bytes
 from ..numeric.arrays import FloatArray
 from .linear_experts import LinearExpert, LinearModel, LinearView
+from .model_file import unreadable
 from .pdm import PointDistributionModel
 
 MAX_BYTES = 4 << 20
@@ -71,12 +72,7 @@ def read_facetracker(path: Path, ours: PointDistributionModel) -> LinearModel:
             "{path} is not a model of FaceTracker ({error}). {advice}", path=path, error=error, advice=_ADVICE
         ) from error
     except OSError as error:
-        raise ModelError(
-            "The tracker model {path} cannot be read: {reason}. {advice}",
-            path=path,
-            reason=error.strerror,
-            advice=_ADVICE,
-        ) from error
+        raise unreadable(path, error, _ADVICE) from error
 
 
 class _Numbers:

@@ -195,6 +195,13 @@ def load_model(path: Path) -> TrackerModel:
         ) from error
 
 
+def unreadable(path: Path, error: OSError, advice: Message) -> ModelError:
+    """Return the error of a model file that the system does not let us read."""
+    return ModelError(
+        "The tracker model {path} cannot be read: {reason}. {advice}", path=path, reason=error.strerror, advice=advice
+    )
+
+
 def _checked_payload(path: Path) -> tuple[bytes, bytes]:
     try:
         content = read_bytes(path, MAX_BYTES)
@@ -203,12 +210,7 @@ def _checked_payload(path: Path) -> tuple[bytes, bytes]:
             "The tracker model {path} is damaged: {error}. {advice}", path=path, error=error, advice=_ADVICE
         ) from error
     except OSError as error:
-        raise ModelError(
-            "The tracker model {path} cannot be read: {reason}. {advice}",
-            path=path,
-            reason=error.strerror,
-            advice=_ADVICE,
-        ) from error
+        raise unreadable(path, error, _ADVICE) from error
     if content[: len(MAGIC)] != MAGIC:
         raise ModelError("{path} is not a Facemime tracker model. {advice}", path=path, advice=_ADVICE)
     if len(content) < _HEADER.size:
