@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from itertools import islice
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -14,12 +15,15 @@ from ..files.closing import Closing
 from ..files.media_headers import last_image
 from ..tracking.people import PeopleTracker
 from ..tracking.result import TrackResult
+from ..tracking.rivals import WATCHED
 from ..tracking.tracker import FaceTracker
 from .file import TakeWriter
 from .take import Take, TakeRecorder, describe
 
 OnFrame = Callable[[int, int, TrackResult], bool | None]
 OnFaces = Callable[[int, int, int], bool | None]
+_LOOKED_AT = 2 * WATCHED
+"""Frames in which somebody has to move beside a picture of a face."""
 _SHORTEST = 0.5
 """Seconds for which somebody has to be seen to get a take of their own."""
 _COMPLETE = 0.9
@@ -50,7 +54,8 @@ def track_video(
     output : Path, optional
         A take to write while tracking, so that a crash loses nothing; it must not exist.
     face : (float, float), optional
-        Position of the face to track, as for `FaceTracker.choose`; by default the largest.
+        Position of the face to track, as for `FaceTracker.choose`; by default the largest, or if that is a picture
+        beside a face that moves in the first two seconds, the one that moves.
     rate : float
         Frames per second of pictures.
 
@@ -80,6 +85,8 @@ def track_video(
         stack.enter_context(source)
         recorder = stack.enter_context(_Recorder({}, output))
         tracker.reset()
+        if face is None:
+            face = _performer(tracker, Path(path), rate)
         if face is not None:
             tracker.choose(*face)
         try:
@@ -101,6 +108,12 @@ def track_video(
                 raise
             recorder.note(interrupted=True)
         return recorder.finish()
+
+
+def _performer(tracker: FaceTracker, path: Path, rate: float) -> tuple[float, float] | None:
+    """Return where a face moves at the beginning of a video while the largest does not, for `FaceTracker.choose`."""
+    with open_video(path, rate) as source:
+        return tracker.performer(frame.image for frame in islice(source, _LOOKED_AT))
 
 
 def track_people(

@@ -212,11 +212,12 @@ _OVAL = _oval()
 class FaceChoice:
     """Chooses the requested face; else the lost face, while it is awaited; else the largest.
 
-    `misses` are the frames since the face was last found.
+    `misses` are the frames since the face was last found, `anybody` is whether the last `pick` could take any face.
     """
 
     def __init__(self) -> None:
         self.misses = 0
+        self.anybody = False
         self._requested: FloatArray | None = None
         self._lost: FittedShape | None = None
 
@@ -245,11 +246,13 @@ class FaceChoice:
 
         Resets `identity`, which is that of the lost performer, if the face may be anybody's.
         """
+        self.anybody = False
         if self._requested is not None and candidates:
             x, y = self._requested
             return min(candidates, key=lambda c: c.distance(x, y))
         if self._lost is None or self.misses >= (_WAIT_CROWDED_FRAMES if identity.crowded else _WAIT_FRAMES):
             identity.reset()
+            self.anybody = True
             return largest(candidates)
         poses = [c.pose for c in candidates]
         own = identity.candidates([describe_face(grey, pose) for pose in poses], poses)

@@ -34,7 +34,7 @@ _LIKELY_COARSE = 4e-3
 false detections 43 had odds below even, of 96 faces with eyes at least 25 pixels apart none."""
 _MAX_UNLIKELY = (2, 1)
 """How many unlikely detections a frame of a gradual search fits coarsely, in turn, and how many to the end."""
-_CERTAIN = 0.85
+CERTAIN = 0.85
 """Confidence of a detected face above which no further effort is made."""
 _SEPARATION = 0.6
 """Distance between the centres of two fits, in eye distances, above which they belong to two people."""
@@ -190,7 +190,7 @@ class FaceSearch:
         for step in steps:
             found = self._faces_in(grey, self._starts(grey, step, brief), step, brief)
             yield from found
-            certain = any(c.confidence >= _CERTAIN for c in found)
+            certain = any(c.confidence >= CERTAIN for c in found)
             if certain and not (step in _FIRST and small):
                 return
 
@@ -224,7 +224,7 @@ class FaceSearch:
         coarse = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]
         promising = self._promising(coarse, by_network=not isinstance(step, Step), brief=brief)
         tried = [self._judge(self.fitter.fit(grey, fit.fitted, REFINED)) for fit in promising]
-        least = _CERTAIN if step in _FURTHER_PASSES else self.found_above
+        least = CERTAIN if step in _FURTHER_PASSES else self.found_above
         return [c for c in tried if c.confidence >= least]
 
     def _promising(self, coarse: list[Fit], *, by_network: bool, brief: bool) -> list[Fit]:

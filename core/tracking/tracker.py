@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from time import perf_counter
 
@@ -20,13 +20,16 @@ from .model_file import TrackerModel
 from .patch_experts import ActionExperts, measure_actions
 from .pdm import FittedShape, PointDistributionModel
 from .result import HiddenMouth, TrackResult, project_shape
-from .search import Candidate, FaceSearch, largest
+from .rivals import Rivals
+from .search import CERTAIN, Candidate, FaceSearch, largest
 from .tracking_settings import DEFAULTS, NETWORK, TrackingSettings
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
 _IDENTITY_INTERVAL = 3
 """Frames from one check of the tracked person's identity to the next."""
+_NEAR = 1.5
+"""Distance in eye distances from where a face was first seen within which it may be found a second later."""
 
 
 class FaceTracker:
@@ -34,9 +37,10 @@ class FaceTracker:
 
     `track` continues from the previous frame; `locate` treats an image on its own.
 
-    If several faces are in view, the largest is tracked, or the one chosen by `choose`. A lost face is sought near its
-    last position before another one is taken. Other people may pass, even in front of the tracked face: tracking is
-    then lost until the face is seen again, for at most 75 frames.
+    If several faces are in view, the largest is tracked, or the one chosen by `choose`. If the largest is a picture,
+    which does not move, and another face moves, that one is tracked after a second. A lost face is sought near its last
+    position before another one is taken. Other people may pass, even in front of the tracked face: tracking is then
+    lost until the face is seen again, for at most 75 frames.
 
     Parameters
     ----------
@@ -71,6 +75,7 @@ class FaceTracker:
         self._choice = FaceChoice()
         self._last: FittedShape | None = None
         self._switch_requested = False
+        self._rivals: Rivals | None = None
         self._actions: FloatArray | None = None
         self._mouth = HiddenMouth()
 
@@ -130,6 +135,7 @@ class FaceTracker:
     def reset(self) -> None:
         """Forget the tracked face and any choice, so that the next `track` detects a face."""
         self._last, self._actions, self._switch_requested = None, None, False
+        self._rivals = None
         self._choice = FaceChoice()
         self._identity.reset()
         self._mouth.reset()
@@ -168,13 +174,13 @@ class FaceTracker:
         self._identity.frame += 1
         # 1. Switch to another face if that was requested and one is in view.
         if self._switch_requested and (another := self._next_face(grey)) is not None:
-            self._identity.reset()
-            self._mouth.reset()
-            return self._accept(grey, another)
+            return self._switch(grey, another)
         # 2. Fit from the face of the previous frame; accept a face (3.6) of the same person (3.7).
         if self._last is not None:
             followed = self.search.follow(grey, self._last)
             if followed.confidence >= self.lost_below and self._is_same(grey, followed):
+                if self._rivals is not None and (another := self._performing(grey, self._rivals, followed)) is not None:
+                    return self._switch(grey, another)
                 return self._accept(grey, followed)
             self._choice.wait_for(self._last)
         # 3. Detect all faces in view (3.2), and choose the performer's (3.7).
@@ -187,7 +193,27 @@ class FaceTracker:
             self._mouth.reset()
             self._choice.misses += 1
             return TrackResult.nothing(self.pdm.n_modes)
+        self._rivals = Rivals(grey, chosen.pose, _certain(found)) if self._choice.anybody else None
         return self._accept(grey, chosen)
+
+    def performer(self, images: Iterable[ArrayLike]) -> tuple[float, float] | None:
+        """Return where the face is, in the first of the images of a video, that moves while the largest one does not.
+
+        None if the largest one moves, or there is no other. It has no effect on `track`.
+        """
+        rivals: Rivals | None = None
+        for image in images:
+            grey = self.begin(image)
+            if rivals is None:
+                found = self.search.detect(grey)
+                if (chosen := largest(found)) is None:
+                    return None
+                rivals = Rivals(grey, chosen.pose, _certain(found))
+            rivals.watch(grey)
+            if rivals.alone or rivals.settled:
+                return None
+        pose = None if rivals is None else rivals.performing()
+        return None if pose is None else (float(pose[4]), float(pose[5]))
 
     def locate(self, image: ArrayLike) -> TrackResult:
         """Find the largest face in a single image, without effect on `track`."""
@@ -219,6 +245,26 @@ class FaceTracker:
                 identity.update_bystander(describe_face(grey, other.pose), other.pose)
         identity.adapt(descriptor)
         return True
+
+    def _performing(self, grey: NDArray[np.uint8], rivals: Rivals, followed: Candidate) -> Candidate | None:
+        """Return another face that moves while the tracked one is a picture; None if it is none, or nobody moves."""
+        rivals.watch(grey)
+        if rivals.settled:
+            self._rivals = None
+        if rivals.settled or not rivals.due:
+            return None
+        found = self.search.others(grey, [followed.pose], small=True)
+        if (pose := rivals.performing()) is not None:
+            return largest([c for c in found if c.distance(pose[4], pose[5]) < _NEAR * float(pose[0])])
+        rivals.add(grey, _certain(found))
+        return None
+
+    def _switch(self, grey: NDArray[np.uint8], another: Candidate) -> TrackResult:
+        """Track the face of somebody else."""
+        self._identity.reset()
+        self._mouth.reset()
+        self._rivals = None
+        return self._accept(grey, another)
 
     def _next_face(self, grey: NDArray[np.uint8]) -> Candidate | None:
         """Return the next face to the right of the tracked one, or else the leftmost; None if there is no other."""
@@ -273,3 +319,8 @@ class FaceTracker:
             vergence=gaze.vergence,
             actions=actions,
         )
+
+
+def _certain(found: Sequence[Candidate]) -> list[FloatArray]:
+    """Poses (6,) of those that are certainly faces."""
+    return [candidate.pose for candidate in found if candidate.confidence >= CERTAIN]

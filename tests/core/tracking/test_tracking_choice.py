@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -14,6 +15,7 @@ from facemime.core.errors import FacemimeError
 from facemime.core.puppet.sources import LiveFrame, LiveSource
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.takes.file import load_take
+from facemime.core.takes.from_video import track_video
 from facemime.core.tracking.identity import LEFTMOST, RIGHTMOST
 from facemime.core.tracking.tracker import FaceTracker
 
@@ -140,3 +142,60 @@ def test_invalid_faces_are_refused_with_advice(text: str) -> None:
 @pytest.mark.parametrize(("text", "place"), [("", None), ("left", LEFTMOST), ("12,34", (12.0, 34.0))])
 def test_a_face_is_chosen_by_side_or_position(text: str, place: tuple[float, float] | None) -> None:
     assert face_of(text) == place
+
+
+def beside_a_picture(count: int, *, mirrored: bool = False) -> Iterator[np.ndarray]:
+    """Frames of a performer beside a larger picture, on the left unless mirrored, of another moment."""
+    video = cv2.VideoCapture(str(SAMPLE))
+    picture = cv2.resize(video.read()[1], None, fx=1.4, fy=1.4)[90:570, 150:750]
+    for _ in range(count):
+        frame = np.hstack([picture, video.read()[1]])
+        yield cv2.flip(frame, 1) if mirrored else frame
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_a_performer_is_followed_instead_of_a_larger_picture(tracker: FaceTracker, mirrored: bool) -> None:
+    tracker.reset()
+    places = [tracker.track(frame).pose[4] > 620 for frame in beside_a_picture(40, mirrored=mirrored)]
+    assert places[0] == mirrored  # the picture, as it is larger
+    assert set(places[25:]) == {not mirrored}
+
+
+def test_a_video_is_tracked_from_its_first_frame_on_the_performer_beside_a_picture(tmp_path: Path) -> None:
+    for number, frame in enumerate(beside_a_picture(60)):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), frame)
+    take = track_video(tmp_path)
+    assert take.found.all()
+    assert take.pose[:, 4].min() > 620
+
+
+def test_a_picture_is_followed_if_nobody_moves_or_if_it_was_chosen(tracker: FaceTracker) -> None:
+    still = next(beside_a_picture(1))
+    assert tracker.performer([still] * 30) is None
+    tracker.reset()
+    assert {tracker.track(still).pose[4] > 620 for _ in range(30)} == {False}
+    tracker.choose(*LEFTMOST)
+    assert {tracker.track(frame).pose[4] > 620 for frame in beside_a_picture(40)} == {False}
+
+
+def test_the_largest_face_is_followed_if_all_move(tracker: FaceTracker) -> None:
+    tracker.reset()
+    frames = [np.hstack([cv2.resize(f, None, fx=1.4, fy=1.4)[90:570, 150:750], f]) for f in sample_frames(40)]
+    assert {tracker.track(frame).pose[4] > 620 for frame in frames} == {False}
+    assert tracker.performer(frames) is None
+
+
+def test_somebody_who_comes_into_view_beside_a_picture_is_followed(tracker: FaceTracker) -> None:
+    tracker.reset()
+    frames = list(beside_a_picture(100))
+    for frame in frames[:30]:
+        frame[:, 600:] = 90
+    places = [tracker.track(frame).pose[4] > 620 for frame in frames]
+    assert not any(places[:30])
+    assert all(places[-10:])
+
+
+def sample_frames(count: int) -> Iterator[np.ndarray]:
+    """Frames of the sample."""
+    video = cv2.VideoCapture(str(SAMPLE))
+    return (video.read()[1] for _ in range(count))
