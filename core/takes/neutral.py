@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 
 from ..errors import Message, SourceError
-from ..face.landmarks import BROWS, LOWER_LIPS, MIRROR, N_LANDMARKS, UPPER_LIPS, eye_apertures, mouth_aperture
+from ..face.landmarks import (
+    BROWS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    LOWER_LIPS,
+    MIRROR,
+    N_LANDMARKS,
+    NOSE,
+    UPPER_LIPS,
+    eye_apertures,
+    mouth_aperture,
+)
 from ..face.names import ACTION_MIRROR, ACTIONS, N_ACTIONS, action_indices
 from ..face.rotation import euler_to_matrix
 from ..files.reading import as_object, parse_json
@@ -59,12 +70,15 @@ _WEAK = 0.3
 _MUCH_REMOVED = 0.35
 """Activation above which an expression that was removed is reported."""
 _TOWARDS_MEAN = 0.5
-"""Share of the way to the mean of people's faces, so that an expression that lasts does not pass for rest. On the
-strangers' clips of `lab.bench.strangers`, the more the better the frames of different people compare, on either half;
-beyond 0.5 the signs of the hand-labelled clips get worse, as a person's own brows pass for expression."""
+"""Share of the way to the mean of people's faces, as far as expressions lead there, so that one that lasts does not
+pass for rest. On the strangers' clips of `lab.bench.strangers`, the more the better the frames of different people
+compare, on either half; beyond 0.5 the signs of the hand-labelled clips get worse, as a person's own brows pass for
+expression."""
 _ACTED = 0.5
 """Activation of the brows' actions from which their height at rest counts as unknown. Where the network sees less of
 any, their height is more and more the person's own. From 0.45 to 0.6 frames of strangers compare alike."""
+_ALONG_EYE = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0 - 0.5
+"""Places of an eye's landmarks between its corners, from the middle, in iBUG's order."""
 _BROW_ACTIONS = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _SEALED = 0.15
 """Share of a take in which the lips are at most as far apart as at rest. Chosen on one half of the strangers' clips."""
@@ -356,10 +370,18 @@ def _at_rest(shape: FloatArray, brows: float, openings: FloatArray) -> FloatArra
     The mean keeps an expression that lasts from passing for rest. `brows` is the doubt, 0 to 1, whether these rest;
     `openings` (N,) are those of the mouth. Pose and size of the face stay.
     """
-    mean = load_face_space().mean
-    towards = np.full((N_LANDMARKS, 1), _TOWARDS_MEAN)
-    towards[BROWS] *= brows
-    rest = shape - towards * without_similarity((shape - mean)[None], mean)[0]
+    space = load_face_space()
+    away = without_similarity((shape - space.mean)[None], space.mean)[0]
+    expressed = space.expressed(away)
+    # Heights of brows and lids differ more between people than the space covers: all of it may be expression. The
+    # sockets of the eyes and the bridge of the nose do not move, or lids would slide off the eyeballs.
+    expressed[BROWS] = brows * away[BROWS]
+    expressed[NOSE[:4]] = 0.0
+    for eye in (EYE_RIGHT, EYE_LEFT):
+        tilt = away[eye[3], 1] - away[eye[0], 1]
+        expressed[eye] = 0.0
+        expressed[eye, 1] = away[eye, 1] - _ALONG_EYE * tilt
+    rest = shape - _TOWARDS_MEAN * expressed
     # The tracker sees shut lips of one person closer together than those of another.
     gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
     lacking = max(gap - float(mouth_aperture(rest)), 0.0)

@@ -8,12 +8,24 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import SourceError
-from facemime.core.face.landmarks import BROWS, LIPS, MIRROR, MOUTH_CORNERS, eye_apertures, from_ibug, mouth_aperture
+from facemime.core.face.landmarks import (
+    BROWS,
+    EYE_CORNERS,
+    LIPS,
+    LOWER_LIDS,
+    MIRROR,
+    MOUTH_CORNERS,
+    NOSE,
+    UPPER_LIDS,
+    eye_apertures,
+    from_ibug,
+    mouth_aperture,
+)
 from facemime.core.takes.face_space import FaceSpace, load_face_space, without_similarity
 from facemime.core.takes.neutral import Neutral, calibrate
 from tests.helpers.takes import make_take
 
-LOWER_INNER, UPPER_LIDS = from_ibug(range(65, 68)), from_ibug((37, 38, 43, 44))
+LOWER_INNER = from_ibug(range(65, 68))
 FLIP = np.array([-1.0, 1.0, 1.0])
 
 
@@ -54,10 +66,31 @@ def test_the_space_of_people_is_as_wide_for_a_face_as_for_its_mirror_image(space
 
 
 def at_rest(face: np.ndarray, space: FaceSpace) -> np.ndarray:
-    """Estimate of a face that rests: half way to the mean, with its own lips."""
-    rest = face - 0.5 * without_similarity((face - space.mean)[None], space.mean)[0]
-    rest[LIPS] = np.nan
+    """Estimate of a face that rests: half way to the mean as far as expressions lead there, with its own lips."""
+    away = without_similarity((face - space.mean)[None], space.mean)[0]
+    rest = face - 0.5 * space.expressed(away)
+    rest[BROWS] = (face - 0.5 * away)[BROWS]
+    rest[NOSE[:4]] = face[NOSE[:4]]
+    rest[EYE_CORNERS, 0] = face[EYE_CORNERS, 0]
+    rest[EYE_CORNERS, 1:] = rest[[*LIPS, *UPPER_LIDS, *LOWER_LIDS]] = np.nan
     return np.asarray(rest)
+
+
+def test_expressions_that_last_are_told_from_what_tells_people_apart(space: FaceSpace) -> None:
+    people = [without_similarity((somebody(space, seed) - space.mean)[None], space.mean)[0] for seed in range(20)]
+    taken = [np.linalg.norm(space.expressed(person)) / np.linalg.norm(person) for person in people]
+    missed = [np.linalg.norm(space.expressed(unit) - unit) / np.linalg.norm(unit) for unit in space.units]
+    assert np.median(taken) < 0.6
+    assert np.median(missed) < 0.2
+
+
+def test_a_neutral_face_keeps_the_sockets_of_the_eyes_and_the_bridge_of_the_nose(space: FaceSpace) -> None:
+    face = somebody(space, 5)
+    neutral = calibrate(make_take(np.tile(face, (30, 1, 1))))
+    np.testing.assert_allclose(neutral.shape[NOSE[:4]], face[NOSE[:4]], atol=0.005)
+    np.testing.assert_allclose(neutral.shape[EYE_CORNERS, 0], face[EYE_CORNERS, 0], atol=0.005)
+    tilts = [np.diff(shape[EYE_CORNERS, 1])[::2] for shape in (neutral.shape, face)]
+    np.testing.assert_allclose(*tilts, atol=0.005)
 
 
 def test_the_neutral_face_lies_between_the_face_at_rest_among_expressions_and_the_mean(space: FaceSpace) -> None:
