@@ -34,8 +34,13 @@ void main() {
     vec3 start = texelFetch(rest, at(vertex, WIDTH), 0).xyz;
     vec4 sphere = texelFetch(spheres, at(vertex, WIDTH), 0);
     vec3 outward = start + sum - sphere.xyz;
-    float away = length(outward);
-    if (away < sphere.w * 0.999995) sum = sphere.xyz + outward * (sphere.w / max(away, 1e-20)) - start;
+    if (length(outward) < sphere.w * 0.999995) {
+        float height = outward.y / sphere.w;
+        vec3 along = outward * vec3(1.0, height * height, 1.0);
+        float product = dot(along, outward), lacking = sphere.w * sphere.w - dot(outward, outward);
+        float pushed = lacking / max(product + sqrt(product * product + dot(along, along) * lacking), 1e-20);
+        sum = sphere.xyz + outward + pushed * along - start;
+    }
     offset.xyz = sum;
 }
 `;

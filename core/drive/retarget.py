@@ -33,8 +33,6 @@ from ..takes.timing import mark_lost, project
 from ..tracking.tracker import FaceTracker
 from .drive_settings import Mode
 
-_MEETING_RIMS = ((UPPER_LIDS, LOWER_LIDS), (UPPER_LIPS, LOWER_LIPS))
-"""Upper and lower landmarks that must not cross."""
 _FACING_LIPS = ((UPPER_LIP, LOWER_LIP), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks of the outer and the inner lips."""
 _LIP_GAIN = (1.4, 1.5)
@@ -87,7 +85,7 @@ class Retargeter:
         self.scale[REGIONS[LOWER].landmarks, 1] *= mouth_gain
         if compensate:
             self.scale[LIPS, :2] *= _LIP_GAIN
-        self._rest_heights = self.head_landmarks[:, 1]
+        self._rest_heights, self._rest_gaps = self.head_landmarks[:, 1], lid_gaps(self.head_landmarks)
         self._lids = _Lids(self.neutral, self.head_landmarks, shut, compensate=compensate)
         self._lid_strength = (members * gains[:, None]).sum(axis=0)[UPPER_LIDS] / members.sum(axis=0)[UPPER_LIDS]
         if mode == "planar":
@@ -102,11 +100,21 @@ class Retargeter:
         # factor: a mouth that moves as a whole would otherwise open.
         for upper, lower in _FACING_LIPS:
             moved[lower, 1] += (self.scale[upper, 1] - self.scale[lower, 1]) * away[upper, 1]
-        # Equation 4.3: each upper lid moves with its lower one, and closes by its share of the opening.
-        moved[UPPER_LIDS, 1] = moved[LOWER_LIDS, 1] + self._lid_strength * self._lids.closing(current)
-        for upper, lower in _MEETING_RIMS:
-            _keep_apart(moved, upper, lower, self._rest_heights)
+        # Equation 4.3: each upper lid moves with its lower one, and closes by its share of the opening, across the eye
+        # as it is tilted now.
+        posed = self.head_landmarks + moved
+        wanted = self._rest_gaps - self._lid_strength * self._lids.closing(current)
+        wanted = np.maximum(wanted, np.minimum(self._rest_gaps, 0.0))  # lids meet, but do not cross
+        moved[UPPER_LIDS, :2] += (lid_gaps(posed) - wanted)[:, None] * _normals(posed)
+        _keep_apart(moved, UPPER_LIPS, LOWER_LIPS, self._rest_heights)
         return moved
+
+
+def _normals(points: FloatArray) -> FloatArray:
+    """Unit vectors (4, 2) in x and y across each eye, downwards in an upright face, for the pairs of its lids."""
+    along = points[EYE_CORNERS[1::2], :2] - points[EYE_CORNERS[::2], :2]
+    length = np.maximum(np.hypot(along[:, 0], along[:, 1]), np.finfo(np.float64).tiny)
+    return np.repeat(np.column_stack([-along[:, 1], along[:, 0]]) / length[:, None], 2, axis=0)
 
 
 class _Lids:

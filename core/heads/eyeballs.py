@@ -211,11 +211,25 @@ class EyeballContact:
         return table
 
     def resolve(self, vertices: NDArray[np.float32]) -> None:
-        """Push `vertices`, (V, 3) float32, that are too deep outwards along the radius, in place."""
+        """Push `vertices`, (V, 3) float32, that are too deep outwards, in place."""
         outward = vertices.take(self._rows, axis=0, out=self._outward, mode="clip")
         np.subtract(outward, self._centres, out=outward)
         squared = np.multiply(outward, outward, out=self._products) @ self._ones
         deep = (squared < self._squared).nonzero()[0]
         if len(deep):
-            stretch = self._nearest[deep] / np.sqrt(np.maximum(squared[deep], np.finfo(np.float32).tiny))
-            vertices[self._rows[deep]] = self._centres[deep] + outward[deep] * stretch[:, None]
+            vertices[self._rows[deep]] = self._centres[deep] + _pushed(outward[deep], self._nearest[deep])
+
+
+def _pushed(outward: NDArray[np.float32], least: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Push points (N, 3), relative to the centres of eyeballs, to distances (N,) that exceed theirs.
+
+    Lids that meet have to stay together, so a point in front of the eyeball keeps its height: it moves along (x, u y,
+    z), where u = (y / least)^2, which is the radius for points above and below.
+    """
+    along = outward.copy()
+    along[:, 1] *= np.square(outward[:, 1] / least)
+    # |outward + t along| = least
+    square, dot = ((along * other).sum(axis=1) for other in (along, outward))
+    lacking = np.square(least) - np.square(outward).sum(axis=1)
+    step = lacking / (dot + np.sqrt(np.square(dot) + square * lacking) + np.finfo(np.float32).tiny)
+    return np.asarray(outward + step[:, None] * along, dtype=np.float32)

@@ -104,7 +104,7 @@ def add_body() -> Body:
     names = source.unit_names()
     units = [source.unit(name) * TO_HEAD for name in names]
     hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
-    for part in build_parts(base, points, units, names.index("tongueOut"), hinge):
+    for part in build_parts(base, points, units, names.index("tongueOut"), hinge, names, units):
         image = ASSETS / "head" / f"{part.name.split('_')[0]}.jpg"
         vertices = to_blender(part.vertices) - ground
         obj = _add(rig, part.name, vertices, part.faces, _material(part.name, (0.8, 0.8, 0.8), image), part.uv)

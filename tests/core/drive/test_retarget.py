@@ -97,10 +97,10 @@ def test_lids_and_lips_meet_but_never_cross(rig, seed):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     rng = np.random.default_rng(seed)
     moved = points + Retargeter(face, points).displacements(face + rng.normal(0.0, 0.1, face.shape))
-    for upper, lower in (((37, 38, 43, 44), (41, 40, 47, 46)), ((61, 62, 63), (67, 66, 65))):
-        u, low = from_ibug(upper), from_ibug(lower)
-        crossed_at_rest = np.maximum(points[u, 1] - points[low, 1], 0.0)
-        assert (moved[u, 1] - moved[low, 1] <= crossed_at_rest + 1e-9).all()
+    upper, lower = from_ibug((61, 62, 63)), from_ibug((67, 66, 65))
+    crossed_at_rest = np.maximum(points[upper, 1] - points[lower, 1], 0.0)
+    assert (moved[upper, 1] - moved[lower, 1] <= crossed_at_rest + 1e-9).all()
+    assert (lid_gaps(moved) >= np.minimum(lid_gaps(points), 0.0) - 1e-9).all()
 
 
 def test_a_closing_lid_rolls_over_the_eyeball(rig):
@@ -112,7 +112,11 @@ def test_a_closing_lid_rolls_over_the_eyeball(rig):
     contact.resolve(moved)
     distance, rest = np.linalg.norm(moved, axis=1), np.linalg.norm(skin, axis=1)
     assert (distance >= np.minimum(rest, 1.1) - 1e-5).all()
-    np.testing.assert_allclose(moved / distance[:, None], skin / rest[:, None], atol=1e-5)
+    # In front of the eyeball the lids keep their height, so that they meet there; above and below they move outwards.
+    front = np.abs(skin[:, 1]) < 0.2 * rest
+    np.testing.assert_allclose(moved[front, 1], 0.8 * skin[front, 1], atol=0.01)
+    sideways = moved[:, [0, 2]] / np.linalg.norm(moved[:, [0, 2]], axis=1)[:, None]
+    np.testing.assert_allclose(sideways, skin[:, [0, 2]] / np.linalg.norm(skin[:, [0, 2]], axis=1)[:, None], atol=1e-4)
 
 
 def test_lids_that_the_tracker_leaves_a_little_open_still_shut_the_heads_eyes(rig):
