@@ -14,7 +14,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.bake.curves import BezierCurve, fit_curves, stops_of
+from ..core.bake.bezier import BezierCurve
+from ..core.bake.curves import fit_curves, stops_of
 from ..core.errors import HeadError
 from .fcurves import (
     TRACK,

@@ -19,8 +19,9 @@ PACKAGES = {
 MODULES = {
     "bake.arkit": "bake.observation",
     "bake.bake_settings": "bake.settings",
+    "bake.bezier": "bake.segments",
     "bake.coefficients": "bake.coefficient_model",
-    "bake.expression_keys": "bake.refine drive.expression_keys",
+    "bake.expression_keys": "bake.refine drive.expression_keys heads.tongues",
     "bake.key_quality": "drive.key_quality drive.keyed_face",
     "bake.key_sets": "drive.key_sets",
     "bake.fit": "bake.basis bake.clean",

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.bake.bake_settings import BakeSettings
-from ...core.bake.curves import BezierCurve, fit_key_curves
+from ...core.bake.bezier import BezierCurve
+from ...core.bake.curves import fit_key_curves
 from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray

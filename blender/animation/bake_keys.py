@@ -15,7 +15,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.curves import BezierCurve, fit_key_curves
+from ...core.bake.bezier import BezierCurve
+from ...core.bake.curves import fit_key_curves
 from ...core.errors import HeadError
 from ...core.heads.key_map import ESSENTIAL, best_preset, curve_groups, known_expressions
 from ..actions import Curve, remove_bake, remove_curves, write_curves

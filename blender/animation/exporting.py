@@ -19,7 +19,8 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ...core.bake.point_cache import in_between, write_point_cache
+from ...core.bake.point_cache import write_point_cache
+from ...core.bake.whole_frames import in_between
 from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError, OutputError
 from ...core.files.writing import replacing

@@ -5,7 +5,6 @@ that they cause together (method.md, section 9.5).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
 from ..numeric.linalg import multiply
-from .segments import hermite, segments
+from .bezier import BezierCurve, segments
 
 _SHARE = 0.6
 """Error of a single curve at first, as a share of that of all together. At .5 there are 2 to 4 % more keyframes; at .7
@@ -44,55 +43,6 @@ _FLAT = 1e-6
 """Range of a curve, and step within a plateau, that counts as none."""
 _AT_ONCE, _SPANS_AT_ONCE = 64, 256
 """Numbers of frames and of spans processed at a time."""
-
-
-@dataclass(frozen=True)
-class BezierCurve:
-    """A curve of cubic Bezier segments with handles at a third of each, so that it is a function of time.
-
-    Attributes
-    ----------
-    rows : (K,) intp
-        Frames of the keyframes, ascending, from the first.
-    values : (K,) float64
-        Values of the keyframes.
-    slopes : (K, 2) float64
-        Slopes before and after each keyframe, per frame.
-    """
-
-    rows: NDArray[np.intp]
-    values: FloatArray
-    slopes: FloatArray
-
-    def at(self, rows: FloatArray) -> FloatArray:
-        """Return the values (N,) at `rows` (N,), frames from the first."""
-        if len(self.rows) == 1:
-            return np.full(len(rows), self.values[0])
-        after = np.clip(np.searchsorted(self.rows, rows, side="right"), 1, len(self.rows) - 1)
-        before = after - 1
-        length = (self.rows[after] - self.rows[before]).astype(np.float64)
-        s = (rows - self.rows[before]) / length
-        rise, start, end = hermite(s)
-        return np.asarray(
-            self.values[before]
-            + rise * (self.values[after] - self.values[before])
-            + length * (start * self.slopes[before, 1] + end * self.slopes[after, 0])
-        )
-
-    def handles(self) -> tuple[FloatArray, FloatArray]:
-        """Return the left and right handles, (K, 2) each: frame from the first, and value."""
-        steps = np.pad(np.diff(self.rows) / 3.0, 1, mode="edge") if len(self.rows) > 1 else np.full(2, 1.0 / 3.0)
-        both = steps[:-1], steps[1:]
-        left, right = (
-            np.column_stack([self.rows + sign * step, self.values + sign * step * slope])
-            for sign, step, slope in zip((-1.0, 1.0), both, self.slopes.T, strict=True)
-        )
-        return left, right
-
-    @property
-    def smooth(self) -> NDArray[np.bool_]:
-        """Whether the slope is the same on both sides of each keyframe, (K,)."""
-        return np.isclose(self.slopes[:, 0], self.slopes[:, 1], rtol=1e-6, atol=1e-9)
 
 
 def fit_key_curves(

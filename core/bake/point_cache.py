@@ -34,12 +34,3 @@ def write_point_cache(path: Path, samples: Iterable[FloatArray], vertices: int, 
         stream.seek(0)
         stream.write(_HEADER.pack(b"POINTCACHE2\0", 1, vertices, start, 1.0, count))
     return count
-
-
-def in_between(times: FloatArray, values: FloatArray, at: float) -> FloatArray:
-    """Interpolate values (N, ...) linearly at one time between increasing ones; they are constant beyond both ends."""
-    after = int(np.searchsorted(times, at, side="left"))
-    if after == 0 or after == len(times):
-        return np.asarray(values[min(after, len(times) - 1)])
-    share = (at - times[after - 1]) / (times[after] - times[after - 1])
-    return np.asarray((1.0 - share) * values[after - 1] + share * values[after])

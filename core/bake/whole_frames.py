@@ -1,4 +1,6 @@
-"""Motion in whole frames of a scene, whatever the rate of its take (method.md, section 9.5)."""
+"""Motion at other times than its own: in whole frames of a scene, whatever the rate of its take (method.md, section
+9.5), and in between.
+"""
 
 from __future__ import annotations
 
@@ -70,3 +72,12 @@ def _turned(frames: FloatArray, rotations: FloatArray, at: FloatArray) -> FloatA
         return np.repeat(rotations, len(at), axis=0)
     transform = linalg.part("spatial.transform")
     return np.asarray(transform.Slerp(frames, transform.Rotation.from_matrix(rotations))(at).as_matrix())
+
+
+def in_between(times: FloatArray, values: FloatArray, at: float) -> FloatArray:
+    """Interpolate values (N, ...) linearly at one time between increasing ones; they are constant beyond both ends."""
+    after = int(np.searchsorted(times, at, side="left"))
+    if after == 0 or after == len(times):
+        return np.asarray(values[min(after, len(times) - 1)])
+    share = (at - times[after - 1]) / (times[after] - times[after - 1])
+    return np.asarray((1.0 - share) * values[after - 1] + share * values[after])

@@ -11,7 +11,8 @@ from scipy.optimize import lsq_linear
 from facemime.core.bake.arkit import arkit_coefficients, coefficients_of
 from facemime.core.bake.coefficients import N_OBSERVED
 from facemime.core.bake.fit import fit_keys, mix_errors
-from facemime.core.bake.point_cache import in_between, write_point_cache
+from facemime.core.bake.point_cache import write_point_cache
+from facemime.core.bake.whole_frames import in_between
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.face.names import COEFFICIENTS, N_ACTIONS, normalised

@@ -1,7 +1,8 @@
-"""Segments of Bezier curves: the cubics of Hermite, and least squares for the slopes at their ends."""
+"""Cubic Bezier curves: Hermite's cubics, and least squares for the slopes at the ends of segments."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache
 from typing import NamedTuple
 
@@ -14,6 +15,55 @@ from ..numeric.arrays import FloatArray
 def hermite(s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Hermite's cubics at shares `s` of a segment: of the rise, and of the slopes at its start and end."""
     return (3.0 - 2.0 * s) * s**2, s * (1.0 - s) ** 2, -(s**2) * (1.0 - s)
+
+
+@dataclass(frozen=True)
+class BezierCurve:
+    """A curve of cubic Bezier segments with handles at a third of each, so that it is a function of time.
+
+    Attributes
+    ----------
+    rows : (K,) intp
+        Frames of the keyframes, ascending, from the first.
+    values : (K,) float64
+        Values of the keyframes.
+    slopes : (K, 2) float64
+        Slopes before and after each keyframe, per frame.
+    """
+
+    rows: NDArray[np.intp]
+    values: FloatArray
+    slopes: FloatArray
+
+    def at(self, rows: FloatArray) -> FloatArray:
+        """Return the values (N,) at `rows` (N,), frames from the first."""
+        if len(self.rows) == 1:
+            return np.full(len(rows), self.values[0])
+        after = np.clip(np.searchsorted(self.rows, rows, side="right"), 1, len(self.rows) - 1)
+        before = after - 1
+        length = (self.rows[after] - self.rows[before]).astype(np.float64)
+        s = (rows - self.rows[before]) / length
+        rise, start, end = hermite(s)
+        return np.asarray(
+            self.values[before]
+            + rise * (self.values[after] - self.values[before])
+            + length * (start * self.slopes[before, 1] + end * self.slopes[after, 0])
+        )
+
+    def handles(self) -> tuple[FloatArray, FloatArray]:
+        """Return the left and right handles, (K, 2) each: frame from the first, and value."""
+        steps = np.pad(np.diff(self.rows) / 3.0, 1, mode="edge") if len(self.rows) > 1 else np.full(2, 1.0 / 3.0)
+        both = steps[:-1], steps[1:]
+        left, right = (
+            np.column_stack([self.rows + sign * step, self.values + sign * step * slope])
+            for sign, step, slope in zip((-1.0, 1.0), both, self.slopes.T, strict=True)
+        )
+        return left, right
+
+    @property
+    def smooth(self) -> NDArray[np.bool_]:
+        """Whether the slope is the same on both sides of each keyframe, (K,)."""
+        return np.isclose(self.slopes[:, 0], self.slopes[:, 1], rtol=1e-6, atol=1e-9)
 
 
 class Segments(NamedTuple):
