@@ -4,7 +4,7 @@ import atexit
 
 import bpy
 
-from .blender import control_properties, messages, style_properties
+from .blender import head_properties, messages
 from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
 from .cli import entry
@@ -50,8 +50,7 @@ from .ui import teaching as teaching_panel
 _MODULES = (
     messages,
     preferences,
-    style_properties,
-    control_properties,
+    head_properties,
     properties,
     panel_properties,
     performers,

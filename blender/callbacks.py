@@ -7,7 +7,7 @@ this module nor what it imports at its top may import that.
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from .control_properties import FacemimeRig
+    from .head_properties import FacemimeRig
 
 
 def use_few(group: "FacemimeRig", _: object) -> None:

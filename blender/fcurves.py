@@ -10,10 +10,8 @@ from typing import Any
 
 import bpy
 
-_OWNED = "facemime_curves"
-"""Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
-BAKE, LAYER = "facemime_character", "facemime_corrections"
-"""Custom properties of an action that a character plays: that of its bake, and that of the user's corrections."""
+from .names import BAKE_PROPERTY, CURVES_PROPERTY, LAYER_PROPERTY
+
 TRACK = "Facemime"
 """Name of a bake's NLA tracks, numbered if there are several; a renamed track belongs to the user."""
 
@@ -95,10 +93,10 @@ class CharacterAction:
     owners : iterable of bpy.types.ID
         Data-blocks of the character, which may play it already.
     kind : str
-        `BAKE` or `LAYER`.
+        `BAKE_PROPERTY` or `LAYER_PROPERTY`.
     """
 
-    def __init__(self, name: str, owners: Iterable[bpy.types.ID], kind: str = BAKE) -> None:
+    def __init__(self, name: str, owners: Iterable[bpy.types.ID], kind: str = BAKE_PROPERTY) -> None:
         self._name, self._kind = name, kind
         playing = (data.action for owner in owners if (data := owner.animation_data) is not None)
         self._action = next((action for action in playing if action is not None and kind in action), None)
@@ -137,7 +135,7 @@ class CharacterAction:
 
 def is_layer(holder: Holder | None) -> bool:
     """Return whether a holder plays the user's corrections of a bake."""
-    return holder is not None and holder.action is not None and LAYER in holder.action
+    return holder is not None and holder.action is not None and LAYER_PROPERTY in holder.action
 
 
 def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:
@@ -173,7 +171,7 @@ def disown_paths(holder: Holder) -> None:
 def _names(holder: Holder) -> list[str]:
     """Return the properties with the paths: that of files without slots, and that of the slot."""
     handle = slot_handle(holder)
-    return [_OWNED, *([f"{_OWNED}.{handle}"] if handle else [])]
+    return [CURVES_PROPERTY, *([f"{CURVES_PROPERTY}.{handle}"] if handle else [])]
 
 
 _TRACK_NAME = re.compile(rf"{TRACK}(\.\d{{3}})?")

@@ -20,11 +20,10 @@ from .fcurves import (
     tracked_strips,
     tracks_of,
 )
+from .names import MUTED_PROPERTY
 
 _KEYS = 'key_blocks["Facemime '
 """Prefix of the data paths of Facemime's shape keys."""
-_MUTED = "facemime_muted"
-"""Custom property of a data-block: what bakes muted of its animation, a kind and a data path or a name on each line."""
 _CURVE, _DRIVER, _TRACK = "curve", "driver", "track"
 _SHOWN = 3
 """Channels of an action that are named in a message."""
@@ -163,19 +162,22 @@ def unmute_noted(owner: bpy.types.ID) -> None:
     for kind, muted, name in (*paths, *((_TRACK, track, track.name) for track in tracks_of(owner))):
         if [kind, name] in lines:
             muted.mute = False
-    del owner[_MUTED]
+    del owner[MUTED_PROPERTY]
 
 
 def _lines(owner: bpy.types.ID) -> list[list[str]]:
     """Return what bakes muted of `owner`: kinds, and data paths or names."""
-    return [line.split(" ", 1) for line in str(owner.get(_MUTED, "")).split("\n") if line]
+    return [line.split(" ", 1) for line in str(owner.get(MUTED_PROPERTY, "")).split("\n") if line]
 
 
 def _noted(owner: bpy.types.ID, muted: list[tuple[str, str, str]]) -> list[Silenced]:
     """Note what was muted, so that the next bake finds it again, and return it."""
     if muted:
-        lines = [*filter(None, str(owner.get(_MUTED, "")).split("\n")), *(f"{kind} {path}" for kind, path, _ in muted)]
-        owner[_MUTED] = "\n".join(dict.fromkeys(lines))
+        lines = [
+            *filter(None, str(owner.get(MUTED_PROPERTY, "")).split("\n")),
+            *(f"{kind} {path}" for kind, path, _ in muted),
+        ]
+        owner[MUTED_PROPERTY] = "\n".join(dict.fromkeys(lines))
     return _silenced(muted)
 
 

@@ -1,4 +1,4 @@
-"""Names under which the data of a head is stored in a .blend file; changing one breaks the files of users."""
+"""Names under which data is stored in a .blend file; changing one breaks the files of users."""
 
 LANDMARKS_PROPERTY = "facemime_landmarks"
 """Custom property of the mesh: 66 vertex indices, in the order of `core.face.landmarks`."""
@@ -55,6 +55,18 @@ RANGE_PROPERTY = "facemime_range"
 
 OWN_POSE_PROPERTY = "facemime_own_pose"
 """Custom property of an object or a pose bone that a performance poses: the user's own location and rotation."""
+
+CURVES_PROPERTY = "facemime_curves"
+"""Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
+
+BAKE_PROPERTY = "facemime_character"
+"""Custom property of an action that a character plays: that of its bake."""
+
+LAYER_PROPERTY = "facemime_corrections"
+"""Custom property of an action that a character plays: that of the user's corrections."""
+
+MUTED_PROPERTY = "facemime_muted"
+"""Custom property of a data-block: what bakes muted of its animation, a kind and a data path or a name on each line."""
 
 REGION_GROUPS = ("Facemime Upper", "Facemime Middle", "Facemime Lower")
 """Vertex groups of the three regions, in the order of `core.heads.regions.REGIONS`."""

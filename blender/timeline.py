@@ -1,12 +1,18 @@
-"""Frames of a scene and seconds."""
+"""Frames of a scene, seconds, and the frames of keyframes."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
+
+from ..core.bake.bake_settings import BakeSettings
+from ..core.bake.whole_frames import curves_at, motion_at, whole_frames
+from ..core.drive.driver import HeadMotion
+from ..core.numeric.arrays import FloatArray
 
 
 def rate_of(scene: bpy.types.Scene) -> float:
@@ -46,3 +52,32 @@ def frame_range(scene: bpy.types.Scene) -> range:
     if scene.use_preview_range:
         return range(scene.frame_preview_start, scene.frame_preview_end + 1)
     return range(scene.frame_start, scene.frame_end + 1)
+
+
+@dataclass(frozen=True)
+class Timing:
+    """The frames of a motion, (N,), and those of its keyframes, (M,), which are the same unless they are whole."""
+
+    frames: FloatArray
+    keyed: FloatArray
+
+    @classmethod
+    def of(cls, scene: bpy.types.Scene, frames: FloatArray, bake: BakeSettings) -> Timing:
+        if not bake.whole_frames or bake.writes_cache:
+            return cls(frames, frames)
+        # Time Stretching shows keyframes in other frames.
+        whole = whole_frames(shown_frames(scene, frames))
+        return cls(frames, np.array([keyed_frame(scene, frame) for frame in whole]))
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether keyframes are on whole frames."""
+        return self.keyed is not self.frames
+
+    def curves(self, values: FloatArray) -> FloatArray:
+        """Return curves (N, K) in the frames of the keyframes, (M, K)."""
+        return curves_at(self.frames, values, self.keyed) if self.is_whole else values
+
+    def motion(self, motion: HeadMotion) -> HeadMotion:
+        """Return a motion in these frames, without its vertices."""
+        return motion_at(self.frames, motion, self.keyed) if self.is_whole else motion

@@ -49,8 +49,7 @@ from .character_files import (
     set_frames,
 )
 from .console import Progress, tell
-from .controls import learn
-from .headless import AVATAR_SIDE, save_blend
+from .headless import AVATAR_SIDE, learn, save_blend
 from .stopping import STOPPING
 
 _LINE = (80, 220, 80)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import bpy
 
-from ..blender import control_properties, style_properties
+from ..blender import head_properties
 from ..blender.animation.clips import Clip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
@@ -227,8 +227,7 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
     FacemimeError if the file cannot be read, the object does not exist, several have landmarks, or no face is found.
     """
     path, name = file.path, file.name
-    style_properties.ensure_registered()
-    control_properties.ensure_registered()
+    head_properties.ensure_registered()
     with read_from(path):
         open_file(path)
         bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Iterator
+from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -12,13 +13,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender import control_properties, style_properties
+from ..blender import head_properties
 from ..blender.animation.bake_report import PuppetReport
 from ..blender.animation.exporting import caches_beside, export_gltf, saved_by_blender
 from ..blender.animation.puppet import check_heads, puppet_head
 from ..blender.animation.scene_range import holding_take
 from ..blender.contexts import scene_of, showing_scene
+from ..blender.controls.checks import measure_speed
+from ..blender.controls.probing import Learning
+from ..blender.controls.stored import are_known, require_storable, rig_group, write_controls
 from ..blender.heads.new_heads import add_head
+from ..blender.heads.parts import ensure_bones
 from ..blender.meshes import mesh_of, write_selection
 from ..blender.preview_scene import FaceView, face_view, setup_preview
 from ..blender.rendering import render_frames, set_rate, without_subdivision, write_video
@@ -36,11 +41,13 @@ from ..core.heads.key_map import ESSENTIAL, load_map
 from ..core.heads.style import Style, load_style
 from ..core.puppet.job import PuppetJob
 from ..core.puppet.puppet_settings import PuppetSettings
+from ..core.rigs.rig_map import RigMap
 from ..core.takes.take import Take
 from ..core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
-from .character_files import open_head
+from .character_files import (
+    open_head,
+)
 from .console import Progress, tell
-from .controls import ensure_learnt
 from .stopping import STOPPING
 
 Image = NDArray[np.uint8]
@@ -67,8 +74,7 @@ def open_stage(job: PuppetJob) -> Stage:
     The built-in head has its face units as shape keys if the bake uses existing keys. Raises FacemimeError if a file
     cannot be read, the object does not exist, none or several have landmarks, or the head cannot be driven or baked.
     """
-    style_properties.ensure_registered()
-    control_properties.ensure_registered()
+    head_properties.ensure_registered()
     settings = _settings(job)
     points = None if job.points is None else _points(job.points)
     style = None if job.style is None else _style(job.style)
@@ -273,3 +279,27 @@ def _pictures(take: Take, video: Path | None, indices: list[int]) -> Iterator[Im
                 index = next(wanted, None)
             if index is None:
                 return
+
+
+def learn(head: bpy.types.Object) -> RigMap:
+    """Learn the controls of a head, and store them with it; raises HeadError if none moves its face."""
+    head_properties.ensure_registered()
+    require_storable(head)
+    ensure_bones(head)
+    with closing(Learning(head)) as learning:
+        progress = Progress(f"Learning the controls of {head.name}", learning.total, unit="channels")
+        for _ in learning.steps():
+            STOPPING.check()
+            progress.update(learning.done)
+        progress.finish()
+        found = learning.result()
+    write_controls(head, found)
+    measure_speed(head, found)
+    tell(f"{len(found.controls)} controls found; they can show {round(100.0 * rig_group(head).shown)} %")
+    return found
+
+
+def ensure_learnt(head: bpy.types.Object) -> None:
+    """Learn the controls of a head unless they are known, and the rig is as it was then."""
+    if not are_known(head):
+        learn(head)

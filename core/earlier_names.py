@@ -68,6 +68,7 @@ MODULES = {
     "puppet.performer": "live.calibration puppet.performance",
     "puppet.presets": "presets",
     "puppet.puppet_settings": "puppet.settings",
+    "rigs.display": "rigs.arrows rigs.sheet",
     "streams.transport.addresses": "streams.addresses streams.pairing",
     "streams.transport.datagram": "streams.datagram streams.sessions",
     "streams.diagnosis": "streams.incoming",

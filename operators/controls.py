@@ -8,11 +8,10 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
+from ..blender.controls.checks import loose_parts, measure_speed
+from ..blender.controls.display import ControlSheet
 from ..blender.controls.face_rig import add_face_rig
-from ..blender.controls.loose import loose_parts
 from ..blender.controls.probing import Learning
-from ..blender.controls.sheet import ControlSheet
-from ..blender.controls.speed import measure_speed
 from ..blender.controls.stored import require_storable, rig_group, stored_map, write_controls, write_order
 from ..blender.heads.parts import ensure_bones
 from ..blender.rigs import read_rig

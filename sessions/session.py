@@ -15,7 +15,7 @@ from ..blender.animation.bake import pose_targets_of
 from ..blender.animation.conflicts import overruled, unseen
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
-from ..blender.controls.speed import slowness
+from ..blender.controls.checks import slowness
 from ..blender.registering import watch
 from ..core.errors import HeadError, Message
 

@@ -8,7 +8,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..blender.controls.arrows import drawn_arrows
+from ..blender.controls.display import drawn_arrows
 from ..blender.controls.stored import has_controls
 from ..blender.meshes import is_head
 from ..blender.viewports import shows_overlays, viewport_drawn

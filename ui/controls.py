@@ -8,7 +8,7 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
-from ..blender.controls.speed import slowness
+from ..blender.controls.checks import slowness
 from ..blender.controls.stored import error_curve, has_controls, rig_group
 from ..blender.heads.family import armature_of
 from ..blender.messages import CONTEXT

@@ -8,9 +8,9 @@ import bpy
 import bpy.utils.previews
 import numpy as np
 
+from ..blender.head_properties import FacemimeExample
 from ..blender.meshes import can_be_driven
 from ..blender.stubs import Icon
-from ..blender.style_properties import FacemimeExample
 from ..blender.styles import read_example, style_group
 from ..core.errors import SourceError
 from ..core.heads.thumbnail import SIDE, pixels_of

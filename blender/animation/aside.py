@@ -1,8 +1,8 @@
 """What is set aside while a session shows a performance: animation, shape keys and modifiers that would disturb it.
 
 Each data-block lists its own in a custom property, so that an undo step taken during a session, a file that Blender
-saved before it crashed, or a copy can be restored without the session. Items are found again by name, as Python's
-reference to a curve or track becomes invalid when the user removes it.
+saved before it crashed, or a copy can be restored without the session; so do the values of shape keys. Items are found
+again by name, as Python's reference to a curve or track becomes invalid when the user removes it.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from typing import Any
 import bpy
 
 from ..actions import baked_paths
+from ..characters import Member
 from ..fcurves import (
     action_name,
     curves_in,
@@ -25,7 +26,8 @@ from ..fcurves import (
     tracks_of,
     tracks_of_bakes,
 )
-from ..names import ASIDE_PROPERTY
+from ..meshes import keys_of, mesh_of
+from ..names import ASIDE_PROPERTY, VALUES_PROPERTY
 from .exporting import MODIFIER
 
 Item = list[Any]
@@ -176,3 +178,23 @@ def _listed(owner: bpy.types.ID) -> list[Item]:
     except ValueError:
         return []
     return [item for item in items if isinstance(item, list) and item] if isinstance(items, list) else []
+
+
+def resting_values(members: Sequence[Member], names: Sequence[str]) -> dict[str, float]:
+    """Return the values of shape keys without what a session shows."""
+    found: dict[str, float] = {}
+    for obj in (member.obj for member in members if mesh_of(member.obj).shape_keys is not None):
+        kept, blocks = kept_values(keys_of(obj)), keys_of(obj).key_blocks
+        for name in names:
+            if name in blocks:
+                found.setdefault(name, kept.get(name, blocks[name].value))
+    return found
+
+
+def kept_values(keys: bpy.types.Key) -> dict[str, float]:
+    """Return the values that shape keys had before a session, even one that ended in a crash."""
+    try:
+        values = json.loads(str(keys.get(VALUES_PROPERTY, "{}")))
+    except ValueError:
+        return {}
+    return {name: value for name, value in values.items() if isinstance(value, (int, float))}

@@ -17,14 +17,20 @@ from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import ROTATION, RigChannel, RigMap
+from ...core.rigs.solver import RigSolver
 from ..actions import Curve, write_curves
 from ..controls.finding import path_of
-from ..controls.setting import ControlValues, holder_of, rotated
-from ..controls.solving import solve_motion
+from ..controls.setting import ControlValues, held, holder_of, rotated
 from ..controls.stored import read_controls, stored_map
+from ..controls.view import FaceView
 from ..fcurves import CharacterAction
 from ..muting import Silenced
-from .plan import Plan, Timing
+from ..rigs import read_rig
+from ..timeline import Timing
+from .bake_report import Plan
+
+CORRECTIONS = 2
+"""Evaluations of the rig by which each frame is corrected."""
 
 
 @dataclass(frozen=True)
@@ -182,3 +188,41 @@ def _animated_path(owner: bpy.types.Object, channel: RigChannel) -> str:
     if channel.name and not isinstance(holder.get(channel.name), float):
         return ""
     return path_of(channel, holder.rotation_mode)
+
+
+@dataclass(frozen=True)
+class ControlMotion:
+    """Changes of the channels from rest, (N, C), and the largest distance of a sampled vertex from its target in each
+    frame, (N,), in the unit of the mesh.
+    """
+
+    values: FloatArray
+    errors: FloatArray
+
+
+def solve_motion(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> ControlMotion:
+    """Solve for displacements (N, S, 3) of the sampled vertices; afterwards every channel is what it was.
+
+    The pointer shows the progress. Raises HeadError if a control is missing.
+    """
+    solver, view = RigSolver(found), FaceView(head, read_rig(head))
+    values, errors = np.empty((len(wanted), len(found.channels))), np.empty(len(wanted))
+    manager = bpy.context.window_manager
+    manager.progress_begin(0.0, max(len(wanted), 1))
+    try:
+        with held(found.channels) as controls:
+            controls.write(np.zeros(len(found.channels)))
+            rest = view.look().face
+
+            def evaluate(changes: FloatArray) -> FloatArray:
+                controls.write(changes)
+                return view.look().face - rest
+
+            for row, target in enumerate(wanted):
+                manager.progress_update(row)
+                values[row], shown = solver.corrected(target, evaluate, CORRECTIONS)
+                errors[row] = np.linalg.norm(shown - target, axis=1).max()
+    finally:
+        manager.progress_end()
+        view.close()
+    return ControlMotion(values, errors)

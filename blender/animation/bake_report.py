@@ -1,7 +1,8 @@
-"""What a bake reports to its user: keys, errors, keyframes and warnings."""
+"""A bake before it is written, and what it reports to its user: keys, errors, keyframes and warnings."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,9 +10,37 @@ import numpy as np
 from ...core.drive.driver import HeadMotion
 from ...core.errors import Message
 from ...core.takes.neutral import Neutral
+from ..fcurves import CharacterAction
+from ..muting import Silenced
 
 _POOR = 0.1
 """Error in eye distances above which the report says that keys cannot reproduce the motion."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A bake that was computed but not written yet.
+
+    Attributes
+    ----------
+    keys : int
+        Number of shape keys.
+    error, named_error : float
+        As in `PuppetReport`, in the unit of the mesh.
+    write : callable
+        Writes it, and returns what it muted.
+    keyframes : int
+        Number of keyframes of the shape keys.
+    controls : int
+        Number of controls, of which `keys` are the curves.
+    """
+
+    keys: int
+    error: float
+    write: Callable[[CharacterAction], list[Silenced]]
+    named_error: float = float("nan")
+    keyframes: int = 0
+    controls: int = 0
 
 
 @dataclass(frozen=True)

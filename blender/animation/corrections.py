@@ -10,8 +10,9 @@ import bpy
 from ...core.errors import HeadError
 from ..actions import baked_paths, check_curves, sink_bake
 from ..characters import Member, members_of
-from ..fcurves import LAYER, CharacterAction, curves_in, is_layer, make_actions_own, owned_paths
+from ..fcurves import CharacterAction, curves_in, is_layer, make_actions_own, owned_paths
 from ..meshes import key_names, mesh_of
+from ..names import LAYER_PROPERTY
 from .bake import animated_owners
 from .bake_keys import family_keys, following_paths, value_path
 from .targets import own_targets
@@ -45,7 +46,7 @@ def add_layer(head: bpy.types.Object) -> str:
     members = members_of(head)
     for member in members[1:]:
         _let_follow(member, members)
-    layer = CharacterAction(f"{head.name} Corrections", owners, LAYER)
+    layer = CharacterAction(f"{head.name} Corrections", owners, LAYER_PROPERTY)
     for owner in owners:
         if isinstance(owner, bpy.types.Key) and owner != mesh_of(head).shape_keys:
             continue  # follows the head, or shows residual keys that nobody corrects

@@ -23,10 +23,9 @@ from ..characters import members_of
 from ..meshes import driven_by_keys, exists
 from ..names import VALUES_PROPERTY
 from ..styles import read_style
-from .aside import moving, restore, set_aside
+from .aside import kept_values, moving, resting_values, restore, set_aside
 from .bake_keys import has_known_set, read_keys, value_path
 from .puppet import table_for
-from .resting import kept_values, resting_values
 
 AUTOMATIC, SKIN, KEYS = "AUTOMATIC", "SKIN", "KEYS"
 

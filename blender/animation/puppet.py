@@ -23,14 +23,15 @@ from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
 from ..characters import members_of, objects_of
-from ..controls.loose import loose_parts
+from ..controls.checks import loose_parts
 from ..fcurves import CharacterAction
 from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
 from ..muting import Silenced, name_them
 from ..names import BAKED_KEY_PREFIX
 from ..rigs import read_rig
-from ..timeline import frames_of
+from ..timeline import Timing, frames_of
+from .aside import resting_values
 from .bake import (
     Targets,
     animated_owners,
@@ -53,13 +54,11 @@ from .bake_keys import (
     moving_key_names,
     read_keys,
 )
-from .bake_report import PuppetReport
+from .bake_report import Plan, PuppetReport
 from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
-from .plan import Plan, Timing
 from .refit import LastBake
 from .refit_pose import ANGLE, LastPose
-from .resting import resting_values
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .strengths import scaled, scaled_pose
 from .targets import own_targets

@@ -5,10 +5,9 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation.puppet import puppet_head
-from facemime.blender.controls.arrows import drawn_arrows
-from facemime.blender.controls.loose import loose_parts
+from facemime.blender.controls.checks import loose_parts, measure_speed
+from facemime.blender.controls.display import drawn_arrows
 from facemime.blender.controls.probing import learn_controls
-from facemime.blender.controls.speed import measure_speed
 from facemime.blender.controls.stored import error_curve, read_controls, write_controls
 from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from facemime.blender.animation import live_controls
+from facemime.blender.animation.bake_controls import solve_motion
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.controls.probing import Learning, learn_controls
-from facemime.blender.controls.solving import solve_motion
 from facemime.blender.controls.stored import read_controls, write_controls
 from facemime.blender.controls.view import FaceView
 from facemime.blender.fcurves import curves_in

@@ -6,11 +6,10 @@ import pytest
 
 from facemime.core.face.landmarks import LIPS
 from facemime.core.heads.rig import built_in_head
-from facemime.core.rigs.arrows import all_arrows, control_arrows
 from facemime.core.rigs.control_names import REGION_OF, ROLES, mirrored, role_of
+from facemime.core.rigs.display import SIDE, all_arrows, control_arrows, control_picture, directions_of, sheet_page
 from facemime.core.rigs.few import ControlOrder, face_units
 from facemime.core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, Probe, RigChannel, map_of
-from facemime.core.rigs.sheet import SIDE, control_picture, directions_of, sheet_page
 
 UNIT = 0.1
 SAMPLE = np.arange(90)

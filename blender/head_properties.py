@@ -1,4 +1,5 @@
-"""Properties of the controls of a rig that were learnt; `controls/stored.py` reads and writes them.
+"""Properties of what a head has learnt: the controls of its rig, which `controls/stored.py` reads and writes, and the
+examples by which it was taught, which `styles.py` does.
 
 They are here and not among the settings, as the command needs them, too, which does not register the extension.
 """
@@ -8,6 +9,7 @@ import sys
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, FloatProperty, IntProperty, StringProperty
 
+from ..core.heads.style import MAX_WEIGHT
 from .callbacks import use_few
 from .registering import register_module
 
@@ -55,7 +57,32 @@ class FacemimeRig(bpy.types.PropertyGroup):
     )
 
 
-POINTERS = ((bpy.types.Object, "facemime_rig", FacemimeRig),)
+class FacemimeExample(bpy.types.PropertyGroup):
+    """An example of how a head should look. `data` is a style with it alone, in base64, and `key` its checksum."""
+
+    data: StringProperty(options={"HIDDEN"})
+    key: StringProperty(options={"HIDDEN"})
+    performer: StringProperty(name="Performer", description="Performer or take that the example was taught with")
+    weight: FloatProperty(
+        name="Weight",
+        description="Factor of the correction",
+        subtype="FACTOR",
+        default=1.0,
+        min=0.0,
+        max=MAX_WEIGHT,
+        soft_max=1.0,
+    )
+    mute: BoolProperty(name="Mute", description="Leave out this example")
+
+
+class FacemimeStyle(bpy.types.PropertyGroup):
+    """The examples of a head."""
+
+    examples: CollectionProperty(type=FacemimeExample)
+    example: IntProperty(name="Example", min=0)
+
+
+POINTERS = ((bpy.types.Object, "facemime_rig", FacemimeRig), (bpy.types.Object, "facemime_style", FacemimeStyle))
 
 
 def ensure_registered() -> None:

@@ -1,16 +1,31 @@
-"""Parts of a face that its rig does not move, such as lashes and hair that were never bound to it."""
+"""Warnings about the rig of a head: parts that it does not move, such as lashes and hair that were never bound to it,
+and that it is too slow to be driven live.
+"""
 
 from __future__ import annotations
 
+import time
+from statistics import median
+
 import bpy
+import numpy as np
 
 from ...core.errors import Message
+from ...core.rigs.rig_map import RigMap
 from ..characters import objects_of, parts_of
 from ..fcurves import drivers_of
 from ..meshes import mesh_of
+from .setting import held
+from .stored import rig_group
+from .view import look_at
 
 _BINDING = {"ARMATURE", "LATTICE", "MESH_DEFORM", "SURFACE_DEFORM", "HOOK", "CORRECTIVE_SMOOTH", "CLOTH", "SOFT_BODY"}
 """Modifiers by which a mesh follows bones or a mesh that bones move."""
+TOO_SLOW = 0.05
+"""Seconds of an evaluation above which a puppet shows fewer than some 15 frames per second, as each is evaluated and
+drawn.
+"""
+_EVALUATIONS = 5
 
 
 def loose_parts(head: bpy.types.Object) -> str:
@@ -38,3 +53,27 @@ def _follows(obj: bpy.types.Object, head: bpy.types.Object) -> bool:
     if obj.parent is None or obj.parent == head:
         return False
     return obj.parent_type != "OBJECT" or _follows(obj.parent, head)
+
+
+def measure_speed(head: bpy.types.Object, found: RigMap) -> None:
+    """Store how long the rig of a head takes to be evaluated; afterwards every channel is what it was."""
+    seconds = []
+    with held(found.channels) as controls:
+        for number in range(_EVALUATIONS):
+            controls.write(found.values(np.full(len(found.channel), 1e-3 * (number + 1)) * found.upper.clip(0.0, 1.0)))
+            start = time.perf_counter()
+            look_at(head, found.sample)
+            seconds.append(time.perf_counter() - start)
+    rig_group(head).seconds = median(seconds)
+
+
+def slowness(head: bpy.types.Object) -> str:
+    """Return a warning if the rig of a head is too slow to be driven live; "" if it is not."""
+    group = rig_group(head)
+    if group is None or group.seconds <= TOO_SLOW:
+        return ""
+    return Message(
+        "The rig of {name} takes {time:.0f} ms per frame, which is too slow to be driven live. Bake to it instead.",
+        name=head.name,
+        time=1e3 * group.seconds,
+    )

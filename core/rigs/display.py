@@ -1,4 +1,4 @@
-"""A sheet of what each control of a rig does to the face, for riggers: a single HTML file."""
+"""What each control of a rig does to a face: a sheet for riggers, a single HTML file, and arrows on the face."""
 
 from __future__ import annotations
 
@@ -19,12 +19,20 @@ from .rig_map import LOCATION, PROPERTY, REGIONS, ROTATION, RigChannel, RigMap
 SIDE = 176
 """Width and height of a picture in pixels."""
 _ARROWS = 0.3
-"""Motion of a vertex, relative to the largest, from which it has an arrow."""
+"""Motion of a vertex, relative to the largest, from which it has an arrow on the sheet."""
 _COLOUR = (60, 60, 230)
 """Colour of arrows, BGR."""
 _STEPS = 2.0
 """Value that is shown, in the steps that were measured, within the range."""
-_AXES = "XYZ"
+_AXIS_NAMES = "XYZ"
+_MOST = 40
+"""Largest number of arrows of a single direction of a control."""
+_SHARE = 0.25
+"""Motion of a vertex, relative to the largest, below which it has no arrow on the face."""
+_LENGTH = 0.2
+"""Length of the longest arrow of a control, in eye distances."""
+AXES = 4
+"""Number of kinds of arrows: the three axes of a control, and properties."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +123,7 @@ def _figure(direction: Direction, picture: bytes) -> str:
 def _name(channel: RigChannel) -> str:
     if channel.kind == PROPERTY:
         return channel.name
-    return f"{'Location' if channel.kind == LOCATION else 'Rotation'} {_AXES[channel.index]}"
+    return f"{'Location' if channel.kind == LOCATION else 'Rotation'} {_AXIS_NAMES[channel.index]}"
 
 
 def _text(channel: RigChannel, value: float) -> str:
@@ -123,3 +131,55 @@ def _text(channel: RigChannel, value: float) -> str:
     if np.isinf(value):
         return "free"
     return f"{np.degrees(value):+.0f}°" if channel.kind == ROTATION else f"{value:+.3g}"
+
+
+@dataclass(frozen=True)
+class Arrows:
+    """Arrows that start at vertices (A,), and their vectors (A, 3) in the head frame, in the unit of the mesh.
+
+    `axes` (A,) are the axes of the control, or 3 for a property.
+    """
+
+    vertices: IntArray
+    vectors: FloatArray
+    axes: IntArray
+
+
+def control_arrows(rig_map: RigMap, control: str) -> Arrows:
+    """Return how a control moves the face: an arrow at the vertices that each of its directions moves most."""
+    own = [k for k in range(len(rig_map.channel)) if rig_map.channels[rig_map.channel[k]].control == control]
+    parts = [_spread(rig_map, k) for k in own]
+    if not parts:
+        return Arrows(np.empty(0, dtype=np.intp), np.empty((0, 3)), np.empty(0, dtype=np.intp))
+    vertices, vectors, axes = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return Arrows(vertices, vectors, axes)
+
+
+def all_arrows(rig_map: RigMap) -> Arrows:
+    """Return an arrow for each control, where and how it moves the face most."""
+    sizes = np.linalg.norm(rig_map.effects, axis=2)
+    most = sizes.max(axis=1, initial=0.0)
+    best: dict[str, int] = {}
+    for k in np.argsort(-most, kind="stable").tolist():
+        best.setdefault(rig_map.channels[rig_map.channel[k]].control, k)
+    chosen = np.array(list(best.values()), dtype=np.intp)
+    places = sizes[chosen].argmax(axis=1) if len(chosen) else chosen
+    vectors = rig_map.effects[chosen, places] * (_LENGTH * rig_map.unit / np.maximum(most[chosen], 1e-30))[:, None]
+    return Arrows(
+        rig_map.sample[places], vectors, np.array([_axis(rig_map, k) for k in chosen.tolist()], dtype=np.intp)
+    )
+
+
+def _spread(rig_map: RigMap, k: int) -> tuple[IntArray, FloatArray, IntArray]:
+    """Arrows of a direction of a control, at vertices that are spread over what it moves."""
+    size = np.linalg.norm(rig_map.effects[k], axis=1)
+    most = float(size.max(initial=1e-30))
+    # The landmarks come first in the sample, and outline the face best.
+    moved = np.flatnonzero(size >= _SHARE * most)[:_MOST]
+    vectors = rig_map.effects[k][moved] * (_LENGTH * rig_map.unit / most)
+    return rig_map.sample[moved], vectors, np.full(len(moved), _axis(rig_map, k), dtype=np.intp)
+
+
+def _axis(rig_map: RigMap, k: int) -> int:
+    channel = rig_map.channels[rig_map.channel[k]]
+    return AXES - 1 if channel.kind == PROPERTY else channel.index
