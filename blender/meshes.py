@@ -10,8 +10,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
-from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import from_json, to_json
+from ..core.control_points.selection import GreedySelection, from_json, to_json
 from ..core.errors import HeadError
 from ..core.face.landmarks import N_LANDMARKS
 from .frames import flat_in_blender, from_blender

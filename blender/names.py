@@ -13,7 +13,7 @@ MARKS_PROPERTY = "facemime_marks"
 """Custom property of the mesh: pairs of iBUG number and vertex that the user marked before binding."""
 
 SELECTION_PROPERTY = "facemime_control_points"
-"""Custom property of the mesh: the selected control points, as `core.control_points.select.to_json` writes them."""
+"""Custom property of the mesh: the selected control points, as `core.control_points.selection.to_json` writes them."""
 
 LIVE_PROPERTY = "facemime_live"
 """Custom property of the mesh during a live session: 1, or 2 if it had no shape keys before."""

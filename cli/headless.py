@@ -31,8 +31,7 @@ from ..blender.rigs import read_rig
 from ..blender.styles import add_style
 from ..blender.timeline import frames_of
 from ..core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
-from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import from_json
+from ..core.control_points.selection import GreedySelection, from_json
 from ..core.drive.driver import select_distinct_frames
 from ..core.errors import OutputError, SourceError
 from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
@@ -44,9 +43,7 @@ from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.rigs.rig_map import RigMap
 from ..core.takes.take import Take
 from ..core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
-from .character_files import (
-    open_head,
-)
+from .character_files import open_head
 from .console import Progress, tell
 from .stopping import STOPPING
 

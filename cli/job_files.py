@@ -15,8 +15,7 @@ from ..core.files.writing import check_distinct, check_writable, claimed, free_n
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.from_video import numbered, track_people, track_video
 from ..core.takes.take import Take
-from ..core.tracking.tracker import FaceTracker
-from ..core.tracking.tracking_settings import DEFAULTS, TrackingSettings
+from ..core.tracking.tracker import DEFAULTS, FaceTracker, TrackingSettings
 from .console import Progress, tell
 from .stopping import INTERRUPTED, STOPPING
 

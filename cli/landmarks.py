@@ -16,8 +16,7 @@ from ..core.face.landmarks import N_LANDMARKS
 from ..core.files.capture import check_readable, pictures_in, read_image, write_image
 from ..core.files.writing import check_writable, replacing
 from ..core.tracking.overlay import draw_landmarks
-from ..core.tracking.tracker import FaceTracker
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.tracking.tracker import FaceTracker, TrackingSettings
 from .console import Progress, tell
 from .job_files import outputs_of, place_beside
 from .options import Commands, Options, add_command, add_output, add_settings, filled

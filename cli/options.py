@@ -21,7 +21,7 @@ from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile, PuppetJob
 from ..core.puppet.presets import COMMAND_NAMES, built_in_path, read_preset
 from ..core.puppet.puppet_settings import PuppetSettings
 from ..core.tracking.identity import LEFTMOST, RIGHTMOST
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.tracking.tracker import TrackingSettings
 from .console import printable, say, write_error
 
 if TYPE_CHECKING:

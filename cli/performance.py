@@ -20,7 +20,7 @@ from ..core.puppet.sources import LiveSource, TakePlayer, VideoPlayer
 from ..core.puppet.worker import LiveOptions, LiveWorker
 from ..core.takes.file import SUFFIX
 from ..core.takes.neutral import Neutral
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.tracking.tracker import TrackingSettings
 from .console import Progress, for_terminal, tell
 from .job_files import importing_blender, load_with_warnings
 from .options import add_face_option, add_settings, head_file, number

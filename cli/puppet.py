@@ -12,7 +12,7 @@ from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.from_video import numbered
 from ..core.takes.smooth import smooth_take
 from ..core.takes.take import Take
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.tracking.tracker import TrackingSettings
 from .console import tell
 from .job_files import (
     INTERRUPTED_NAME,

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ..core.control_points.greedy import GreedySelection
-from ..core.control_points.select import parse_landmarks, select_control_points, to_json
-from ..core.control_points.selection_settings import SelectionSettings
+from ..core.control_points.select import parse_landmarks, select_control_points
+from ..core.control_points.selection import GreedySelection, SelectionSettings, to_json
 from ..core.drive.drive_settings import DriveSettings
 from ..core.face.landmarks import IBUG68_INDICES
 from ..core.files.setting import settings_of

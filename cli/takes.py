@@ -21,8 +21,7 @@ from ..core.takes.correction import learn, solve_pins, without_pins
 from ..core.takes.face_models import FPS, is_moving_face, read_moving_face
 from ..core.takes.file import SUFFIX, save_take
 from ..core.takes.learnt import corrected
-from ..core.takes.mending import draw_before_after, mend
-from ..core.takes.mending_settings import BLEND, Mending
+from ..core.takes.mending import Mending, draw_before_after, mend
 from ..core.takes.neutral import calibrate
 from ..core.takes.openface import write_openface_csv
 from ..core.takes.pins import Pin, pins_of, read_pins, with_learning, with_pins, write_pins
@@ -32,7 +31,7 @@ from ..core.takes.smooth import CUTOFFS
 from ..core.takes.spreadsheet import to_csv
 from ..core.takes.table_angles import AUTOMATIC, DEGREES, RADIANS
 from ..core.takes.take import Take
-from ..core.takes.timing import punch_in, resample, shift_time, trim
+from ..core.takes.timing import BLEND, punch_in, resample, shift_time, trim
 from .bind import parse_mark
 from .console import tell
 from .job_files import importing_blender, load_with_warnings, outputs_of

@@ -11,7 +11,7 @@ from ..blender.rigs import read_rig
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw, viewport_under
 from ..core.control_points.select import parse_landmarks, select_control_points
-from ..core.control_points.selection_settings import SelectionSettings
+from ..core.control_points.selection import SelectionSettings
 from ..core.control_points.table import add_by_hand, drop_by_hand
 from ..core.errors import HeadError
 from ..core.face.landmarks import N_LANDMARKS

@@ -11,7 +11,7 @@ from ..blender.viewports import free_box, redraw, viewport_of
 from ..core.errors import FacemimeError, HeadError
 from ..core.face.landmarks import N_LANDMARKS
 from ..core.takes.correction import learn
-from ..core.takes.doubt import doubtful_frames
+from ..core.takes.pin_editor import doubtful_frames
 from ..core.takes.pins import learns_from_pins, pins_of, with_learning
 from ..sessions.landmark_edit import LandmarkEdit, frame_at, go_to_frame, write_pins
 from ..settings import takes_store

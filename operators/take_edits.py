@@ -11,11 +11,10 @@ from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 from ..blender.stubs import OperatorResult
 from ..blender.timeline import frame_range, seconds_at, seconds_of
 from ..core.errors import FacemimeError
-from ..core.takes.mending import mend, renew_neutral
-from ..core.takes.mending_settings import BLEND, REPAIR, Mending
+from ..core.takes.mending import REPAIR, Mending, mend, renew_neutral
 from ..core.takes.table_times import timecode
 from ..core.takes.take import Take
-from ..core.takes.timing import punch_in, restart, shift_time, trim
+from ..core.takes.timing import BLEND, punch_in, restart, shift_time, trim
 from ..settings import takes_store
 from ..settings.rna import read, with_settings
 from ..settings.values import take_start

@@ -5,8 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..blender.stubs import OperatorMixin, OperatorResult
-from ..core.streams.transport.security import renew_identity
-from ..settings.properties import pairing_folder, pairing_line
+from ..settings.properties import pairing_line, renew_pairing_line
 from .puppet import require_puppet, required_puppet, running
 from .shared import ReportsErrors, report, require
 
@@ -81,5 +80,5 @@ class FACEMIME_OT_renew_pairing_line(ReportsErrors, bpy.types.Operator):
 
     def work(self, context: bpy.types.Context) -> None:
         """Replace the certificate and the token."""
-        renew_identity(pairing_folder())
+        renew_pairing_line()
         report(self, "Earlier pairing lines are no longer valid: copy the new one")

@@ -20,7 +20,7 @@ from ..core.puppet.worker import LiveOptions
 from ..core.rigs.rig_map import RigMap
 from ..core.streams.source import StreamSource
 from ..core.takes.neutral import Neutral
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.tracking.tracker import TrackingSettings
 from ..settings.performers import read_calibration, read_learnt, write_calibration
 from ..settings.preferences import preferences
 from ..settings.properties import FacemimeSettings

@@ -9,8 +9,7 @@ from ..core.errors import FacemimeError
 from ..core.takes.from_video import track_video
 from ..core.takes.take import Take
 from ..core.tracking.result import TrackResult
-from ..core.tracking.tracker import FaceTracker
-from ..core.tracking.tracking_settings import DEFAULTS, TrackingSettings
+from ..core.tracking.tracker import DEFAULTS, FaceTracker, TrackingSettings
 from .session import Session
 
 _JOIN_TIMEOUT = 10.0

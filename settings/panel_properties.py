@@ -15,7 +15,7 @@ from ..blender.heads.family import face_candidates, heads_of, leads_to_face
 from ..blender.messages import displayable, interface, translated
 from ..blender.registering import watch
 from ..blender.view_layers import select_alone
-from ..core.control_points.selection_settings import SelectionSettings
+from ..core.control_points.selection import SelectionSettings
 from ..core.face.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..core.heads.checks import Finding
 from .rna import with_settings

@@ -21,8 +21,8 @@ from ..core.streams.sender import SENT
 from ..core.streams.stream_settings import PROTOCOLS, SendSettings, StreamSettings
 from ..core.streams.transport.addresses import EVERYWHERE, LOOPBACK
 from ..core.streams.transport.addresses import PORT as PAIRING_PORT
-from ..core.streams.transport.security import load_identity
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.streams.transport.security import load_identity, renew_identity
+from ..core.tracking.tracker import TrackingSettings
 from ..core.viewer.viewer_settings import PORT
 from .callbacks import refit_last_bake
 from .rna import with_settings
@@ -214,6 +214,11 @@ def pairing_line(output: FacemimeOutput) -> str:
         listening_host(output), output.port or PAIRING_PORT, output.public
     )
     return pairing.line
+
+
+def renew_pairing_line() -> None:
+    """Make a new pairing line, so that earlier ones are no longer valid; may raise OutputError."""
+    renew_identity(pairing_folder())
 
 
 def open_paired_sender(output: FacemimeOutput) -> "TlsSender":

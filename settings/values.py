@@ -31,7 +31,7 @@ from ..core.streams.transport.addresses import LOOPBACK, is_loopback, parse_pair
 from ..core.streams.vertices import VERTICES
 from ..core.takes.file import load_take
 from ..core.tracking.identity import LEFTMOST, RIGHTMOST
-from ..core.tracking.tracking_settings import TrackingSettings
+from ..core.tracking.tracker import TrackingSettings
 from ..core.viewer.viewer_settings import ViewerSettings
 from .preferences import preferences
 from .properties import (

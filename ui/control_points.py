@@ -11,8 +11,8 @@ from ..blender.meshes import is_head, mesh_of, read_selection
 from ..blender.messages import CONTEXT, translated
 from ..blender.messages import interface as _
 from ..blender.names import SELECTION_PROPERTY
-from ..core.control_points.greedy import WAS_OFF, GreedySelection
-from ..core.control_points.select import from_json
+from ..core.control_points.greedy import WAS_OFF
+from ..core.control_points.selection import GreedySelection, from_json
 from ..core.control_points.table import PointRow, draw_curve, point_rows
 from ..core.errors import FacemimeError, Message
 from ..core.face.landmarks import IBUG68_INDICES

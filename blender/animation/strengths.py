@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadMotion
-from ...core.drive.posing import limit_rotation
+from ...core.face.rotation import limit_rotation
 from ...core.heads.key_map import curve_groups, gaze_keys
 from ...core.numeric.arrays import FloatArray
 from ..fcurves import curves_in

@@ -16,9 +16,10 @@ import numpy as np
 from mathutils import Euler, Matrix, Quaternion, Vector
 from numpy.typing import NDArray
 
-from ...core.drive.posing import eye_strength, limit_rotation
+from ...core.drive.posing import eye_strength
 from ...core.errors import HeadError
 from ...core.face.landmarks import EYE_CORNERS
+from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
 from ..characters import (

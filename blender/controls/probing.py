@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.face.landmarks import CHIN
 from ...core.numeric.arrays import FloatArray
-from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, Probe, RigChannel, RigMap, map_of
-from ...core.rigs.symmetry import even_probes
+from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, Probe, RigChannel, RigMap, even_probes, map_of
 from ..rigs import read_rig
 from .finding import channels_of
 from .setting import ControlValues

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.heads.rig import HeadRig, Part
+from ...core.heads.symmetry import face_images, symmetry_of
 from ...core.numeric.arrays import FloatArray, IntArray
-from ...core.rigs.symmetry import face_images, symmetry_of
 from ..characters import members_of, objects_of, read_bones
 from ..frames import from_blender
 from ..meshes import mesh_of, posed_bones, rest_bones

@@ -15,8 +15,8 @@ from ...core.errors import HeadError
 from ...core.face.landmarks import MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, from_ibug, outer_eye_distance
 from ...core.heads.eyeballs import EYES, EyeOutline, eye_outline
 from ...core.heads.lids import EyeCut, coarse_edges, cut_eye, eyes_joined
-from ...core.heads.slits import lip_line, rim_landmarks
-from ...core.mesh.surface import SurfaceGraph, lips_joined
+from ...core.heads.slits import lip_line, lips_joined, rim_landmarks
+from ...core.mesh.surface import SurfaceGraph
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..frames import from_blender, to_blender
 from ..meshes import mesh_of, object_of, read_faces, read_landmarks, read_vertices, write_landmarks

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from ..drive.actions import ActionDriver
 from ..drive.drive_settings import DriveSettings, PosingSettings
-from ..drive.posing import EyeDriver, limit_rotation, measured_eyes
+from ..drive.posing import EyeDriver, measured_eyes
 from ..drive.retarget import retargeter_for
 from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.names import ACTIONS, COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED, action_indices
-from ..face.rotation import euler_to_matrix, fit_rotation
+from ..face.rotation import euler_to_matrix, fit_rotation, limit_rotation
 from ..heads.built_in import LOOK_ANGLES, LOOKS, load_head, looks_of
 from ..heads.key_map import KeyMap
 from ..heads.rig import HeadRig, Part

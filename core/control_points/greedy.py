@@ -7,7 +7,6 @@ worst frame, so that an expression that occurs once is not forgotten.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,7 @@ from ..heads.regions import DEFAULT_KERNEL, REGIONS, membership, region_sigmas
 from ..mesh.kernels import distances, get_kernel
 from ..numeric.arrays import FloatArray, IntArray, as_points
 from .difference import SkinDifference
-from .selection_settings import Search, SelectionSettings
+from .selection import GreedySelection, GreedyStep, Search, SelectionSettings
 
 _FACE_SIDES = from_ibug((0, 16))
 _EXCHANGE_CANDIDATES = 8
@@ -62,73 +61,6 @@ START: tuple[Mapping[int, str], ...] = (
 first."""
 WAS_OFF = "was off by {error} % in frame {frame}"
 """Template of the reason for a landmark that was added for its error."""
-
-
-@dataclass(frozen=True)
-class GreedyStep:
-    """A change of the selection, and the worst error after it.
-
-    Attributes
-    ----------
-    action : {"start", "add", "drop"}
-        What was done.
-    landmark : int
-        Position in the 66 landmarks.
-    region : int
-        Row of `REGIONS`.
-    reason : str
-        A muscle, or the error that the point removes.
-    points : int
-        Number of control points after the step.
-    error : float
-        Largest error of any landmark in any frame, as a fraction of the face's width.
-    frame, worst : int
-        Frame and landmark of that error.
-    """
-
-    action: str
-    landmark: int
-    region: int
-    reason: str
-    points: int
-    error: float
-    frame: int
-    worst: int
-
-
-@dataclass(frozen=True)
-class GreedySelection:
-    """A selection of control points.
-
-    Attributes
-    ----------
-    membership : (3, 66) bool
-        Whether a landmark is a control point of a region.
-    steps : tuple of GreedyStep
-        Steps in order; users see the curve of `error` over `points`.
-    tolerance : float
-        Allowed error, as a fraction of the face's width.
-    reached : bool
-        Whether the error fell to the tolerance within the allowed number of points.
-    covariance : (66, 66) float, optional
-        Covariance of the landmarks' displacements in the take, by which the other landmarks follow.
-    """
-
-    membership: NDArray[np.bool_]
-    steps: tuple[GreedyStep, ...]
-    tolerance: float
-    reached: bool
-    covariance: FloatArray | None = None
-
-    @property
-    def landmarks(self) -> NDArray[np.intp]:
-        """Landmarks that are control points of any region, ascending, (P,)."""
-        return np.flatnonzero(self.membership.any(axis=0))
-
-    def reason(self, landmark: int) -> str:
-        """Return the reason why `landmark` was chosen; "" if it was not."""
-        chosen = [step for step in self.steps if step.landmark == landmark and self.membership[step.region, landmark]]
-        return "; ".join(dict.fromkeys(step.reason for step in chosen if step.action != "drop"))
 
 
 def greedy_select(

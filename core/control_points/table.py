@@ -12,7 +12,7 @@ from ..errors import HeadError
 from ..face.landmarks import IBUG68_INDICES, N_LANDMARKS
 from ..heads.regions import REGIONS, membership
 from ..numeric.arrays import FloatArray, IntArray
-from .greedy import GreedySelection, GreedyStep
+from .selection import GreedySelection, GreedyStep
 
 BY_HAND = "added by hand"
 REGION_COLOURS = ((0.10, 0.50, 0.85), (0.95, 0.65, 0.10), (0.05, 0.65, 0.45))

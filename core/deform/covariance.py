@@ -20,9 +20,9 @@ from ..errors import HeadError
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
 from ..heads.regions import REGIONS, membership
 from ..mesh.kernels import Kernel, distances
-from ..mesh.sparse import SymmetricSystem
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray, as_points
+from ..numeric.linalg import SymmetricSystem
 
 REACH = 0.25
 """Reach of the process in outer-eye distances: the distance along the skin at which the covariance falls to 0.6."""

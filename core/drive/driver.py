@@ -13,7 +13,7 @@ from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.names import N_ACTIONS
-from ..face.rotation import euler_to_matrix
+from ..face.rotation import euler_to_matrix, limit_rotation, limit_vector
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
@@ -24,7 +24,7 @@ from ..tracking.result import CAMERA_DISTANCE, TrackResult, mirror_result
 from .actions import TONGUE, ActionDriver, action_modes
 from .drive_settings import DriveSettings
 from .parts import PartDriver
-from .posing import EyeDriver, Jaw, limit_rotation, limit_vector
+from .posing import EyeDriver, Jaw
 from .retarget import retargeter_for
 from .teaching import Expressions, TaughtControls, TaughtVertices, edited_vertices
 

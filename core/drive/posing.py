@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections import deque
 from math import nan, pi
 
-import cv2
 import numpy as np
 
 from ..face.landmarks import CHIN, LOWER_LIPS, outer_eye_distance
-from ..face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
+from ..face.rotation import euler_to_matrix, fit_rotation, limit_rotation, matrix_to_euler
 from ..numeric.arrays import FloatArray
 
 _CHIN_ERROR = 0.01
@@ -20,21 +19,6 @@ _LIP_ALONE = 0.03
 """Motion of the lower lip by itself, in outer-eye distances."""
 _MAX_FACTOR = 2.0
 """Largest factor by which the jaw is opened further than the chin suggests."""
-
-
-def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:
-    """Multiply the angle of a rotation (3, 3) by `strength`, then limit it to `limit` radians, about the same axis."""
-    if strength == 1.0 and limit >= pi:
-        return rotation
-    vector = np.array(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
-    return np.array(cv2.Rodrigues(limit_vector(vector, strength, limit))[0], dtype=np.float64)
-
-
-def limit_vector(vector: FloatArray, strength: float, limit: float) -> FloatArray:
-    """Multiply a vector (3,) by `strength`, then limit its length to `limit`."""
-    scaled = strength * np.asarray(vector, dtype=np.float64)
-    length = float(np.linalg.norm(scaled))
-    return np.asarray(scaled * (limit / length)) if length > limit else scaled
 
 
 _PARALLEL = np.radians(8.0)

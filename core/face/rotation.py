@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos, pi, sin
 
 import cv2
 import numpy as np
@@ -70,3 +70,24 @@ def mix_rotations(first: FloatArray, second: FloatArray, share: FloatArray) -> F
     start, end = rotations.from_euler("xyz", first), rotations.from_euler("xyz", second)
     turned = rotations.from_rotvec(share[:, None] * (end * start.inv()).as_rotvec()) * start
     return np.array([matrix_to_euler(turn) for turn in turned.as_matrix()]).reshape(-1, 3)
+
+
+def to_quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
+    """Convert a rotation matrix (3, 3) to a quaternion (x, y, z, w) with w at least 0."""
+    x, y, z, w = linalg.part("spatial.transform").Rotation.from_matrix(turn).as_quat(canonical=True).tolist()
+    return x, y, z, w
+
+
+def limit_rotation(rotation: FloatArray, strength: float, limit: float) -> FloatArray:
+    """Multiply the angle of a rotation (3, 3) by `strength`, then limit it to `limit` radians, about the same axis."""
+    if strength == 1.0 and limit >= pi:
+        return rotation
+    vector = np.array(cv2.Rodrigues(rotation)[0], dtype=np.float64).ravel()
+    return np.array(cv2.Rodrigues(limit_vector(vector, strength, limit))[0], dtype=np.float64)
+
+
+def limit_vector(vector: FloatArray, strength: float, limit: float) -> FloatArray:
+    """Multiply a vector (3,) by `strength`, then limit its length to `limit`."""
+    scaled = strength * np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(scaled))
+    return np.asarray(scaled * (limit / length)) if length > limit else scaled

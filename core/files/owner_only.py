@@ -1,4 +1,4 @@
-"""Files that only their owner can read on Windows, where the mode that a file is opened with has no such effect."""
+"""Files that only their owner can read, even on Windows, where the mode of a new file has no such effect."""
 
 from __future__ import annotations
 
@@ -67,3 +67,19 @@ if sys.platform == "win32":
     def _check(succeeded: int) -> None:
         if not succeeded:
             raise ctypes.WinError(ctypes.get_last_error())
+
+
+def write_secret(path: Path, content: bytes, *, replace: bool = False) -> None:
+    """Write a file that only its owner can read.
+
+    Raises OSError if it cannot be written, and FileExistsError if it exists and `replace` is not set.
+    """
+    if sys.platform == "win32":
+        if replace:
+            path.unlink(missing_ok=True)
+        descriptor = create(path)
+    else:
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
+        os.fchmod(descriptor, 0o600)  # of a file that existed
+    with open(descriptor, "wb") as file:
+        file.write(content)

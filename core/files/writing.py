@@ -89,24 +89,6 @@ def _move(source: Path, target: Path) -> None:
         time.sleep(_PAUSE)
 
 
-def write_secret(path: Path, content: bytes, *, replace: bool = False) -> None:
-    """Write a file that only its owner can read.
-
-    Raises OSError if it cannot be written, and FileExistsError if it exists and `replace` is not set.
-    """
-    if sys.platform == "win32":
-        from .owner_only import create
-
-        if replace:
-            path.unlink(missing_ok=True)
-        descriptor = create(path)
-    else:
-        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | (os.O_TRUNC if replace else os.O_EXCL), 0o600)
-        os.fchmod(descriptor, 0o600)  # of a file that existed
-    with open(descriptor, "wb") as file:
-        file.write(content)
-
-
 def free_name(path: Path) -> Path:
     """Return `path` if it does not exist, or a numbered name: NAME-2.SUFFIX and so on."""
     names = (path if number == 1 else path.with_name(f"{path.stem}-{number}{path.suffix}") for number in count(1))

@@ -28,7 +28,7 @@ from ..face.landmarks import (
     UPPER_LIP,
     from_ibug,
 )
-from ..mesh.surface import SurfaceGraph, border_twins, islands, lips_joined
+from ..mesh.surface import SurfaceGraph, border_twins, islands
 from ..numeric.arrays import FloatArray, IntArray, as_points
 from .checks import Finding, resting_findings
 from .fit_template import NOT_FOUND, fit_template
@@ -36,6 +36,7 @@ from .portrait import Paint
 from .proposal import propose_regions
 from .rig import HeadRig, jaw_pivot_of
 from .sight import Sight
+from .slits import lips_joined
 from .symmetry import even_landmarks, mirror_of
 from .template import Surface, Template, load_template
 

@@ -10,11 +10,12 @@ import numpy as np
 
 from ..errors import HeadError, Message
 from ..face.landmarks import BROWS, IBUG68_INDICES, MOUTH_CORNERS, eye_apertures, from_ibug, mouth_aperture
-from ..mesh.surface import SurfaceGraph, lips_joined
+from ..mesh.surface import SurfaceGraph
 from ..numeric.arrays import FloatArray, IntArray
 from .eyeballs import EYES, eye_outline
 from .lids import eyes_joined
 from .regions import REGIONS, membership, own_weights
+from .slits import lips_joined
 
 _MIN_WEIGHT = 0.01
 _HELD = 0.95

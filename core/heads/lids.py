@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HeadError
-from ..mesh.surface import JOINED, SurfaceGraph
+from ..mesh.surface import SurfaceGraph
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 from .eyeballs import EYES, LID_THICKNESS, EyeOutline, eye_outline
-from .slits import nearest_at_shares
+from .slits import JOINED, nearest_at_shares
 
 _MARGIN = 0.1
 """Margin, in eye widths, at the corners of the part of the mesh in which paths from lid to lid are sought. Outside of

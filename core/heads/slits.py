@@ -16,9 +16,11 @@ from ..face.landmarks import (
     EYE_LEFT,
     EYE_RIGHT,
     LIPS,
+    LOWER_LIP,
     MOUTH_CORNERS,
     MOUTH_INNER_LOWER,
     MOUTH_INNER_UPPER,
+    UPPER_LIP,
     outer_eye_distance,
 )
 from ..mesh.surface import NearestPoints, SurfaceGraph, surface_normals, triangulate
@@ -55,6 +57,9 @@ _STEPS = 20
 """Largest number of corrections."""
 _SPREADS = 2
 """Rings of neighbours that take part in each correction."""
+JOINED = 1.7
+"""Lips or lids count as joined if the path from one to the other is shorter than this multiple of the straight
+distance. Around a corner of the mouth it is longer."""
 
 
 @dataclass(frozen=True)
@@ -259,3 +264,15 @@ def nearest_at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np
     for i in range(1, len(chosen)):
         chosen[i] = max(chosen[i], chosen[i - 1] + 1)
     return np.minimum(chosen, len(points) - 1 - len(chosen) + np.arange(len(chosen)))
+
+
+def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
+    """Return whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
+
+    Paths are measured between the outer rims of the lips, whose landmarks are away from any slit.
+    """
+    upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]
+    across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
+    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[MOUTH_CORNERS]])))
+    lengths = [graph.path_lengths([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
+    return bool((np.array(lengths) < JOINED * across).any())

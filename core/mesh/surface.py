@@ -13,7 +13,6 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import LOWER_LIP, MOUTH_CORNERS, UPPER_LIP
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 
@@ -21,9 +20,6 @@ _SINGLE_TREE = 4
 """FLANN's number for the k-d tree for few dimensions, the only index with an exact search."""
 _SAME_PLACE = 1e-6
 """Share of the mesh's size within which vertices coincide."""
-JOINED = 1.7
-"""Lips or lids count as joined if the path from one to the other is shorter than this multiple of the straight
-distance. Around a corner of the mouth it is longer."""
 
 
 class NearestPoints:
@@ -162,18 +158,6 @@ class SurfaceGraph:
             self._graph, indices=indices, return_predecessors=True, limit=limit, min_only=True
         )
         return found
-
-
-def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
-    """Return whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
-
-    Paths are measured between the outer rims of the lips, whose landmarks are away from any slit.
-    """
-    upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]
-    across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
-    width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[MOUTH_CORNERS]])))
-    lengths = [graph.path_lengths([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
-    return bool((np.array(lengths) < JOINED * across).any())
 
 
 def _edges(faces: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from ..control_points.selection_settings import SelectionSettings
+from ..control_points.selection import SelectionSettings
 from ..drive.drive_settings import DriveSettings, PosingSettings
 from ..errors import DataError, OutputError, SourceError, messages
 from ..files.assets import ASSETS
 from ..files.reading import as_object, parse_format, read_text, shown
 from ..files.setting import Setting, settings_of
-from ..tracking.tracking_settings import TrackingSettings
+from ..tracking.tracker import TrackingSettings
 from .puppet_settings import PuppetSettings
 
 SUFFIX = ".json"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from ..bake.bake_settings import BakeSettings
 from ..drive.drive_settings import DriveSettings
 from ..files.setting import setting
-from ..tracking.tracking_settings import TrackingSettings
+from ..tracking.tracker import TrackingSettings
 
 
 @dataclass(frozen=True)

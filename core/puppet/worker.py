@@ -21,14 +21,12 @@ from ..errors import FacemimeError, OutputError
 from ..takes.neutral import Neutral
 from ..takes.take import Take, TakeRecorder
 from ..tracking.overlay import draw_preview
-from ..tracking.people import PeopleTracker
+from ..tracking.people import PeopleRoles, PeopleTracker
 from ..tracking.result import TrackResult
-from ..tracking.tracker import FaceTracker
-from ..tracking.tracking_settings import DEFAULTS, TrackingSettings
+from ..tracking.tracker import DEFAULTS, FaceTracker, TrackingSettings
 from .outputs import Display, HeadDrivers, LiveHead, Output, Recorder
 from .performer import Performer
 from .puppet_settings import PuppetSettings
-from .roles import PeopleRoles
 from .sources import LiveFrame, LiveSource
 
 _PATIENCE = 0.1

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, LIPS, N_LANDMARKS, NOSE
+from ..heads.symmetry import Symmetry
 from ..numeric.arrays import FloatArray, IntArray
 from .control_names import REGION_OF, role_of
 
@@ -31,6 +32,8 @@ _NAMED = 0.5
 """Motion of the region of a control's name, relative to the largest of any, above which the control belongs there."""
 _EFFECT = 0.02
 """Motion of the face below which a direction of a channel does nothing, in eye distances."""
+_ALIKE = 0.8
+"""Cosine of the effects of two channels, one mirrored, from which they mirror each other."""
 
 
 @dataclass(frozen=True)
@@ -244,3 +247,28 @@ def _joined(
     step = 0.5 * (up[0] - down[0])
     effect = 0.5 * step * (up[1] / up[0] + down[1] / down[0])
     return step, effect, -down[3] * -down[0] / step, up[3] * up[0] / step
+
+
+def even_probes(probes: Sequence[Sequence[Probe]], symmetry: Symmetry) -> list[list[Probe]]:
+    """Give directions of channels that mirror each other the mean of both effects; a rig is never quite symmetric.
+
+    They are recognised by what they do, not by their names: each is the other's nearest mirror image.
+    """
+    flat = [probe for probed in probes for probe in probed]
+    if not flat:
+        return [list(probed) for probed in probes]
+    rates = np.array([probe.moved / abs(probe.step) for probe in flat])
+    mirrored = symmetry.mirrored(rates)
+    rows, images = rates.reshape(len(flat), -1), mirrored.reshape(len(flat), -1)
+    sizes = np.maximum(np.linalg.norm(rows, axis=1), 1e-30)
+    alike = rows @ images.T / np.outer(sizes, sizes)
+    nearest = alike.argmax(axis=1)
+    mutual = (nearest[nearest] == np.arange(len(flat))) & (alike.max(axis=1) > _ALIKE)
+    even = list(flat)
+    for number in np.flatnonzero(mutual).tolist():
+        own, other = flat[number], int(nearest[number])
+        step = 0.5 * (abs(own.step) + abs(flat[other].step))
+        rate = 0.5 * (rates[number] + mirrored[other])
+        even[number] = Probe(float(np.copysign(step, own.step)), rate * step)
+    left = iter(even)
+    return [[next(left) for _ in probed] for probed in probes]

@@ -20,8 +20,8 @@ from ..drive.drive_settings import DriveSettings
 from ..errors import Message
 from ..face.names import COEFFICIENT_INDEX
 from ..face.rotation import to_face_axes
+from ..files.owner_only import write_secret
 from ..files.reading import read_bytes
-from ..files.writing import write_secret
 from ..takes.neutral import Neutral
 from ..tracking.result import TrackResult
 from .protocols.frames import FaceValues

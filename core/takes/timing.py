@@ -18,7 +18,6 @@ from ..face.names import N_COEFFICIENTS
 from ..face.rotation import euler_to_matrix, matrix_to_euler, mix_rotations
 from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
-from .mending_settings import BLEND
 from .neutral import Neutral
 from .pins import pins_of, shifted, with_pins
 from .take import FIELDS, Take, join
@@ -28,6 +27,8 @@ _MAX_STEP = 2.5
 _MAX_FRAMES = 1_000_000
 """Largest number of frames of a resampled take: nine hours at 30 frames per second, and the limit of Blender's
 timeline."""
+BLEND = 0.2
+"""Seconds over which one take blends into another."""
 
 
 def mix(first: Take, second: Take, share: FloatArray) -> Take:

@@ -1,7 +1,10 @@
-"""Everybody in view: several faces, kept apart through crossings and cuts (method.md, section 3.7)."""
+"""Everybody in view: several faces, kept apart through crossings and cuts (method.md, section 3.7), and which of them
+drives which head.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 import cv2
@@ -48,6 +51,8 @@ _SMALL = 32
 """Side of these images in pixels."""
 _MOST = 8
 """Largest number of people who are followed at a time."""
+_HELD = 5.0
+"""Seconds for which a head waits for its person before somebody else may drive it."""
 
 
 @dataclass
@@ -221,3 +226,44 @@ def _overlap(one: Candidate, other: Candidate) -> bool:
     """Whether two fits are of one face."""
     apart = one.distance(float(other.pose[4]), float(other.pose[5]))
     return apart < _SAME_FACE * float(max(one.pose[0], other.pose[0]))
+
+
+class PeopleRoles:
+    """Assigns people to heads: those that were chosen, and otherwise whoever appears first and drives no head yet.
+
+    Examples
+    --------
+    >>> from facemime.core.tracking.people import PeopleRoles
+    >>> roles = PeopleRoles()
+    >>> roles.assign((0, 0), {0}, 0.0), roles.assign((0, 0), {0, 1}, 0.1)
+    ({0: (0,)}, {0: (0,), 1: (1,)})
+    >>> roles.assign((2, 0), {0, 1}, 0.2)  # the first head follows the second person
+    {1: (0,), 0: (1,)}
+    """
+
+    def __init__(self) -> None:
+        self._roles: dict[int, int] = {}
+        self._seen: dict[int, float] = {}
+
+    def assign(self, wanted: Sequence[int], in_view: Collection[int], time: float) -> dict[int, tuple[int, ...]]:
+        """Assign the people in view, and return the heads of each person who drives some, whether in view or not.
+
+        For each head, `wanted` is the number of its person from 1, or 0 for anybody; `in_view` are numbers from 0. Time
+        is in seconds.
+        """
+        self._seen.update(dict.fromkeys(in_view, time))
+        chosen = {head: person - 1 for head, person in enumerate(wanted) if person > 0}
+        kept = {
+            head: person
+            for head, person in self._roles.items()
+            if head < len(wanted) and person not in chosen.values() and time - self._seen.get(person, -_HELD) < _HELD
+        }
+        self._roles = kept | chosen
+        free = sorted(set(in_view) - set(self._roles.values()))
+        for head in range(len(wanted)):
+            if head not in self._roles and free:
+                self._roles[head] = free.pop(0)
+        heads: dict[int, tuple[int, ...]] = {}
+        for head, person in sorted(self._roles.items()):
+            heads[person] = (*heads.get(person, ()), head)
+        return heads

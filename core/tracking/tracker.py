@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..files.assets import ASSETS
+from ..files.setting import Choice, setting
 from ..numeric.arrays import FloatArray, as_image
 from .fitter import FaceFitter
 from .gaze import find_gaze
@@ -22,7 +24,6 @@ from .pdm import FittedShape, PointDistributionModel
 from .result import HiddenMouth, TrackResult, project_shape
 from .rivals import Rivals
 from .search import CERTAIN, Candidate, FaceSearch, largest
-from .tracking_settings import DEFAULTS, NETWORK, TrackingSettings
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
@@ -30,6 +31,39 @@ _IDENTITY_INTERVAL = 3
 """Frames from one check of the tracked person's identity to the next."""
 _NEAR = 1.5
 """Distance in eye distances from where a face was first seen within which it may be found a second later."""
+NETWORK, CASCADES = "network", "cascades"
+
+
+@dataclass(frozen=True)
+class TrackingSettings:
+    """Settings of the tracker.
+
+    Attributes
+    ----------
+    detector : {"network", "cascades"}
+        Detector for the first frame and after a loss; "cascades" is the paper's Viola-Jones detector.
+    tracker_model : str
+        File of a model of FaceTracker, whose linear experts the paper uses; "" is the shipped model.
+    """
+
+    detector: str = setting(
+        NETWORK,
+        "Face Detector",
+        "How faces are found on the first frame and after tracking was lost",
+        choices=(
+            Choice(NETWORK, "Neural Network", "Find faces from any angle, with Viola-Jones for those that are missed"),
+            Choice(CASCADES, "Viola-Jones", "Find faces with cascades alone, as in the paper"),
+        ),
+    )
+    tracker_model: str = setting(
+        "",
+        "Tracker Model",
+        "File of a model of FaceTracker, which the paper uses, from the next start on; empty for Facemime's own",
+        unit="file",
+    )
+
+
+DEFAULTS = TrackingSettings()
 
 
 class FaceTracker:

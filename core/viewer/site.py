@@ -12,8 +12,9 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from ..errors import OutputError, SourceError
+from ..files.owner_only import write_secret
 from ..files.reading import read_bytes
-from ..files.writing import replacing, write_secret
+from ..files.writing import replacing
 from ..streams.transport.addresses import EVERYWHERE, LOOPBACK, is_loopback
 from .messages import MAX_PAYLOAD
 from .model import ViewerModel, description

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import OutputError, SourceError
+from ..files.owner_only import write_secret
 from ..files.reading import read_bytes
-from ..files.writing import write_secret
 from ..streams.transport.addresses import LOOPBACK, bracketed, is_loopback, reachable
 from ..streams.transport.security import server_context
 

@@ -24,8 +24,8 @@ import numpy as np
 from facemime.core.face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, LIPS
 from facemime.core.numeric import linalg
 from facemime.core.takes.correction import learn, solve_pins
-from facemime.core.takes.doubt import doubtful_frames, uncertainty
 from facemime.core.takes.learnt import corrected_result
+from facemime.core.takes.pin_editor import doubtful_frames, uncertainty
 from facemime.core.takes.pins import LEARN, Pin, with_pins
 from facemime.core.takes.take import Take, TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.control_points.greedy import GreedySelection
+from facemime.core.control_points.selection import GreedySelection
 from facemime.core.face.landmarks import EDGES
 from lab.bench.deformers import Method, Predict, triangles_of
 from lab.bench.heads import TrueHead

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from facemime.core.control_points.greedy import GreedySelection
+from facemime.core.control_points.selection import GreedySelection
 from facemime.core.deform.expressions import learn, load_expressions
 from lab.bench.deform_speed import speed_table
 from lab.bench.deformers import Method, all_methods, greedy_points

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csc_matrix, diags
 from scipy.sparse.linalg import splu
 
-from facemime.core.control_points.greedy import GreedySelection, greedy_select
-from facemime.core.control_points.selection_settings import Search
+from facemime.core.control_points.greedy import greedy_select
+from facemime.core.control_points.selection import GreedySelection, Search
 from facemime.core.deform.expressions import ExpressionModel
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from facemime.core.face.landmarks import INNER
-from facemime.core.tracking.tracker import FaceTracker
-from facemime.core.tracking.tracking_settings import CASCADES, NETWORK, TrackingSettings
+from facemime.core.tracking.tracker import CASCADES, NETWORK, FaceTracker, TrackingSettings
 from lab.bench.report import Table, finish, people_parser
 from lab.training.tracker.checks import surface
 from lab.training.tracker.detection import background_piece

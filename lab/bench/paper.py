@@ -14,8 +14,9 @@ from time import perf_counter, process_time
 import cv2
 import numpy as np
 
-from facemime.core.control_points.greedy import START, GreedySelection
+from facemime.core.control_points.greedy import START
 from facemime.core.control_points.select import select_control_points
+from facemime.core.control_points.selection import GreedySelection
 from facemime.core.deform.expressions import load_expressions
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver, drive_take

@@ -36,12 +36,12 @@ from facemime.core.face.landmarks import (
     UPPER_LIPS,
 )
 from facemime.core.heads.key_map import expression_keys
+from facemime.core.heads.symmetry import symmetry_of
 from facemime.core.numeric.arrays import FloatArray
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.rigs.rig_map import LOCATION, PROPERTY, Probe, RigChannel, RigMap, map_of
 from facemime.core.rigs.solver import RigSolver
-from facemime.core.rigs.symmetry import symmetry_of
 from facemime.core.takes.file import load_take
 from facemime.core.takes.mending import mirror_tracked
 from facemime.core.takes.take import Take

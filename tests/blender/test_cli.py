@@ -16,7 +16,8 @@ import facemime
 from facemime.blender import rendering
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
-from facemime.core.control_points.select import from_json, select_control_points
+from facemime.core.control_points.select import select_control_points
+from facemime.core.control_points.selection import from_json
 from facemime.core.errors import OutputError
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.file import load_take, save_take

@@ -12,7 +12,8 @@ from facemime.blender.meshes import read_landmarks, read_regions, read_selection
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, REGION_GROUPS, SELECTION_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.cli.character_files import bound_character
-from facemime.core.control_points.select import select_control_points, to_json
+from facemime.core.control_points.select import select_control_points
+from facemime.core.control_points.selection import to_json
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, OUTER_EYE_CORNERS, from_ibug
 from facemime.core.heads.bind import MARKS

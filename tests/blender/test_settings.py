@@ -9,7 +9,7 @@ from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.files.setting import settings_of
 from facemime.core.puppet.puppet_settings import PuppetSettings
-from facemime.core.tracking.tracking_settings import TrackingSettings
+from facemime.core.tracking.tracker import TrackingSettings
 from facemime.settings.values import bake_settings, puppet_settings
 
 

@@ -18,8 +18,8 @@ import cv2
 import numpy as np
 
 from facemime.cli.clips import checked_record
-from facemime.core.control_points import select as control_points
-from facemime.core.control_points.greedy import GreedySelection, GreedyStep
+from facemime.core.control_points import selection as control_points
+from facemime.core.control_points.selection import GreedySelection, GreedyStep
 from facemime.core.control_points.table import draw_curve, drop_by_hand, point_rows
 from facemime.core.deform.covariance import follow_matrix
 from facemime.core.drive.driver import HeadDriver

@@ -152,9 +152,3 @@ def from_quaternion(x: float, y: float, z: float, w: float) -> FloatArray:
     if not 0.25 <= size <= 4.0:
         raise PacketError("a rotation has no length")
     return np.asarray(linalg.part("spatial.transform").Rotation.from_quat((x, y, z, w)).as_matrix())
-
-
-def to_quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
-    """Convert a rotation matrix (3, 3) to a quaternion (x, y, z, w) with w at least 0."""
-    x, y, z, w = linalg.part("spatial.transform").Rotation.from_matrix(turn).as_quat(canonical=True).tolist()
-    return x, y, z, w

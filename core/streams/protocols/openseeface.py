@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...face.landmarks import MOUTH_CORNERS, eye_apertures, from_ibug, mouth_aperture
-from ...face.rotation import euler_to_matrix, matrix_to_euler
+from ...face.rotation import euler_to_matrix, matrix_to_euler, to_quaternion
 from ...numeric import linalg
 from ...numeric.arrays import FloatArray
 from ...tracking.result import TrackResult
-from .frames import PacketError, StreamFrame, to_quaternion
+from .frames import PacketError, StreamFrame
 
 PORT = 11573
 _FACE = struct.Struct("<di2f2fBf4f3f3f")

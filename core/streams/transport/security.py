@@ -17,8 +17,8 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from ...errors import DataError, OutputError, SourceError
+from ...files.owner_only import write_secret
 from ...files.reading import read_bytes
-from ...files.writing import write_secret
 from .addresses import TOKEN_BYTES, Pairing, fingerprint_of, parse_address, reachable
 
 TAG_BYTES = 16

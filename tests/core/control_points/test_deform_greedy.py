@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 
 from facemime.core.control_points.difference import SkinDifference
 from facemime.core.control_points.greedy import START, greedy_select
-from facemime.core.control_points.select import from_json, parse_landmarks, select_control_points, to_json
+from facemime.core.control_points.select import parse_landmarks, select_control_points
+from facemime.core.control_points.selection import from_json, to_json
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.face.landmarks import from_ibug
 from facemime.core.heads.built_in import load_head

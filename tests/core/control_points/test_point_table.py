@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from facemime.core.control_points.select import from_json, select_control_points, to_json
+from facemime.core.control_points.select import select_control_points
+from facemime.core.control_points.selection import from_json, to_json
 from facemime.core.control_points.table import (
     add_by_hand,
     draw_curve,

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.control_points.greedy import greedy_select
-from facemime.core.control_points.select import from_json, to_json
+from facemime.core.control_points.selection import from_json, to_json
 from facemime.core.deform.covariance import follow_matrix, landmark_covariance
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import SourceError

@@ -12,7 +12,7 @@ from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import MIRROR, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER
 from facemime.core.heads.rig import built_in_head
-from facemime.core.mesh.sparse import SymmetricSystem
+from facemime.core.numeric.linalg import SymmetricSystem
 
 RIG = built_in_head()
 LANDMARKS = np.asarray(RIG.vertices, float)[RIG.landmarks]

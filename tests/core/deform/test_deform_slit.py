@@ -13,8 +13,8 @@ from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import MOUTH_CORNERS, from_ibug
 from facemime.core.heads.bind import bind_landmarks
 from facemime.core.heads.proposal import propose_regions
-from facemime.core.heads.slits import lip_line, rim_landmarks
-from facemime.core.mesh.surface import SurfaceGraph, lips_joined
+from facemime.core.heads.slits import lip_line, lips_joined, rim_landmarks
+from facemime.core.mesh.surface import SurfaceGraph
 from tests.helpers.scans import HEAD, UNIT, VERTICES, scanned
 
 

@@ -10,9 +10,8 @@ from hypothesis import strategies as st
 
 from facemime.core.drive.drive_settings import DriveSettings, PosingSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.posing import limit_rotation, limit_vector
 from facemime.core.errors import SourceError
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.face.rotation import euler_to_matrix, limit_rotation, limit_vector
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import Neutral, calibrate
 from facemime.core.tracking.result import mirror_result

@@ -18,15 +18,8 @@ from facemime.core.errors import OutputError
 from facemime.core.files import locks
 from facemime.core.files import writing as files
 from facemime.core.files.locks import holding, lock_of, sweep, temporary_folder
-from facemime.core.files.writing import (
-    check_distinct,
-    check_writable,
-    claimed,
-    free_name,
-    replacing,
-    settle,
-    write_secret,
-)
+from facemime.core.files.owner_only import write_secret
+from facemime.core.files.writing import check_distinct, check_writable, claimed, free_name, replacing, settle
 from tests.helpers.owners import UNDER_WINE, who_can_open
 
 needs_posix = pytest.mark.skipif(os.name != "posix", reason="permissions and links as POSIX has them")

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import SourceError
-from facemime.core.files.capture import VideoSource
-from facemime.core.files.frame_finder import FrameFinder
+from facemime.core.files.capture import FrameFinder, VideoSource
 
 
 @pytest.fixture(scope="module")

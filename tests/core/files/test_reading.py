@@ -9,8 +9,9 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from facemime.core.control_points import select as control_points
-from facemime.core.control_points.greedy import GreedySelection, GreedyStep
+from facemime.core.control_points import selection as control_points
+from facemime.core.control_points.select import parse_landmarks
+from facemime.core.control_points.selection import GreedySelection, GreedyStep
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.files.reading import MAX_TEXT, parse_json, read_bytes, read_text
 from facemime.core.files.setting import Choice, Setting
@@ -186,4 +187,4 @@ def test_landmarks_of_an_endless_range_are_refused_at_once():
 
     for text in ("0-99999999999", "5-" + "9" * 400, "-" + "9" * 5000):
         with pytest.raises(HeadError, match="not a list of landmarks"):
-            control_points.parse_landmarks(text)
+            parse_landmarks(text)

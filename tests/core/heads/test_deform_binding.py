@@ -27,8 +27,9 @@ from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks, membership
 from facemime.core.heads.rig import built_in_head
+from facemime.core.heads.slits import lips_joined
 from facemime.core.mesh.kernels import Warp
-from facemime.core.mesh.surface import SurfaceGraph, lips_joined, surface_normals
+from facemime.core.mesh.surface import SurfaceGraph, surface_normals
 from lab.bench.heads import ict_people
 from lab.training.data import DATA, ROOT, has_heads
 from lab.training.obj import parse_obj

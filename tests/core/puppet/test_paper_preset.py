@@ -10,7 +10,8 @@ import pytest
 
 from facemime.cli.main import main
 from facemime.cli.options import Parser, add_preset_option, add_puppet_options, as_options, parse, puppet_job
-from facemime.core.control_points.select import from_json, select_control_points
+from facemime.core.control_points.select import select_control_points
+from facemime.core.control_points.selection import from_json
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.rbf import IncrementalDeformer, RBFDeformer
 from facemime.core.drive.drive_settings import DriveSettings
@@ -23,7 +24,7 @@ from facemime.core.puppet.job import PuppetJob
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
-from facemime.core.tracking.tracking_settings import CASCADES, TrackingSettings
+from facemime.core.tracking.tracker import CASCADES, TrackingSettings
 from tests.helpers.takes import make_take, performance
 
 PAPER = DriveSettings(

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from facemime.core.files.capture import read_image
 from facemime.core.heads.rig import built_in_head
 from facemime.core.puppet.outputs import LiveHead
-from facemime.core.puppet.roles import PeopleRoles
 from facemime.core.puppet.sources import LiveFrame
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
+from facemime.core.tracking.people import PeopleRoles
 from facemime.core.tracking.tracker import FaceTracker
 from tests.core.puppet.test_live_worker import Listed, Recorded, run
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from facemime.core.heads.rig import built_in_head
-from facemime.core.rigs.rig_map import LOCATION, Probe, RigChannel, map_of
+from facemime.core.heads.symmetry import face_images, symmetry_of
+from facemime.core.rigs.rig_map import LOCATION, Probe, RigChannel, even_probes, map_of
 from facemime.core.rigs.solver import RigSolver
-from facemime.core.rigs.symmetry import even_probes, face_images, symmetry_of
 
 HEAD = built_in_head()
 UNIT = HEAD.eye_distance

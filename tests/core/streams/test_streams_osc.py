@@ -10,9 +10,9 @@ from pythonosc.osc_bundle_builder import IMMEDIATELY, OscBundleBuilder
 from pythonosc.osc_message_builder import OscMessageBuilder
 from pythonosc.osc_packet import OscPacket
 
-from facemime.core.face.rotation import euler_to_matrix, from_face_axes, to_face_axes
+from facemime.core.face.rotation import euler_to_matrix, from_face_axes, to_face_axes, to_quaternion
 from facemime.core.streams.protocols import osc
-from facemime.core.streams.protocols.frames import MAX_DATAGRAM, PacketError, from_quaternion, to_quaternion
+from facemime.core.streams.protocols.frames import MAX_DATAGRAM, PacketError, from_quaternion
 from tests.helpers.stream_values import ANGLES
 
 # Axes

@@ -12,9 +12,9 @@ from pythonosc.osc_packet import OscPacket
 
 from facemime.core.face.landmarks import IBUG68_INDICES, MOUTH_CORNERS
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS
-from facemime.core.face.rotation import euler_to_matrix
+from facemime.core.face.rotation import euler_to_matrix, to_quaternion
 from facemime.core.streams.protocols import openseeface, osc, vmc
-from facemime.core.streams.protocols.frames import FaceValues, PacketError, to_quaternion
+from facemime.core.streams.protocols.frames import FaceValues, PacketError
 from facemime.core.streams.protocols.openseeface import OpenSeeFaceDecoder, fit_pose
 from facemime.core.streams.protocols.vmc import VmcDecoder
 from facemime.core.streams.sender import StreamSender

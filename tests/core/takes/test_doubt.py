@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from facemime.core.face.landmarks import EYE_LEFT, JAW
-from facemime.core.takes.doubt import APART, doubtful_frames
+from facemime.core.takes.pin_editor import APART, doubtful_frames
 from facemime.core.takes.pins import Pin, with_pins
 from facemime.core.takes.take import Take
 from facemime.core.takes.timing import mark_lost

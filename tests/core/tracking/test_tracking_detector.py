@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from facemime.core.files.capture import read_image
 from facemime.core.tracking.fitter import COARSE
 from facemime.core.tracking.network import LARGEST, OUTPUTS, SMALLEST, STRIDE, UNIT, Detection, NetworkDetector
-from facemime.core.tracking.tracker import FaceTracker
-from facemime.core.tracking.tracking_settings import CASCADES, TrackingSettings
+from facemime.core.tracking.tracker import CASCADES, FaceTracker, TrackingSettings
 from lab.training.tracker.detection import SCENE, Heads, SceneBatch, Scenes, mark
 
 PORTRAITS = Path(__file__).resolve().parents[2] / "data" / "portraits"

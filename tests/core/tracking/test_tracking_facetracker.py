@@ -18,8 +18,7 @@ from facemime.core.takes.file import load_take
 from facemime.core.tracking import facetracker_file as reading
 from facemime.core.tracking.linear_experts import LinearExpert, LinearView
 from facemime.core.tracking.pdm import FittedShape, PointDistributionModel
-from facemime.core.tracking.tracker import FaceTracker
-from facemime.core.tracking.tracking_settings import CASCADES, TrackingSettings
+from facemime.core.tracking.tracker import CASCADES, FaceTracker, TrackingSettings
 from tests.helpers.facetracker_files import SCALE, YAWS, facetracker_file, sample_experts, sample_file, small_pdm
 
 PUBLISHED = Path(__file__).parents[4] / "shared/data/models/saragih_facetracker/model/face2.tracker"

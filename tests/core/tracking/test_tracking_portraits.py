@@ -15,8 +15,7 @@ from facemime.core.files.capture import read_image
 from facemime.core.tracking.cascade_detector import CascadeDetector
 from facemime.core.tracking.network import NetworkDetector
 from facemime.core.tracking.result import is_hidden
-from facemime.core.tracking.tracker import FaceTracker
-from facemime.core.tracking.tracking_settings import CASCADES, NETWORK, TrackingSettings
+from facemime.core.tracking.tracker import CASCADES, NETWORK, FaceTracker, TrackingSettings
 
 PORTRAITS = Path(__file__).resolve().parents[2] / "data" / "portraits"
 LABELS = json.loads((PORTRAITS / "labels.json").read_text())
