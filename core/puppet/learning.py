@@ -17,7 +17,8 @@ from ..face.landmarks import eye_apertures
 from ..face.rotation import euler_to_matrix, matrix_to_euler
 from ..numeric.arrays import FloatArray
 from ..takes.face_space import load_face_space
-from ..takes.neutral import MAX_SHUT, Neutral, rest_of, trust
+from ..takes.neutral import Neutral, rest_of
+from ..takes.rest import MAX_SHUT, trust
 from ..takes.take import TakeRecorder
 from ..tracking.result import TrackResult
 

@@ -19,7 +19,8 @@ from ..numeric.arrays import FloatArray
 from ..takes.correction import solve_pins
 from ..takes.face_space import load_face_space
 from ..takes.learnt import Learnt, corrected_result
-from ..takes.neutral import Neutral, calibrate, shut_level, trust
+from ..takes.neutral import Neutral, calibrate
+from ..takes.rest import shut_level, trust
 from ..takes.smooth import smooth_take
 from ..takes.take import Take, TakeRecorder
 from ..takes.timing import at_rest, between

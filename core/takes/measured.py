@@ -18,7 +18,8 @@ from ..face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from ..heads.built_in import LOOKS, gaze_of, gaze_of_eyes, load_head
 from ..numeric.arrays import FloatArray
 from ..tracking.result import CAMERA_DISTANCE, TrackResult
-from .neutral import Neutral, shut_level
+from .neutral import Neutral
+from .rest import shut_level
 from .take import Take, TakeRecorder, describe
 
 IMAGE_SIZE = (1280, 720)

@@ -28,6 +28,7 @@ from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes import neutral
+from facemime.core.takes import rest as resting
 from facemime.core.takes.face_space import load_face_space, without_similarity
 from facemime.core.takes.neutral import calibrate, calmest
 from facemime.core.takes.take import Take
@@ -59,17 +60,17 @@ _SHUT = 0.03
 """Gap of the avatar's lips below which they are shut."""
 ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "as it is": {},
-    "neutral face not moved towards the mean": {(neutral, "_TOWARDS_MEAN"): 0.0},
-    "a third of the way": {(neutral, "_TOWARDS_MEAN"): 1.0 / 3.0},
-    "two thirds of the way": {(neutral, "_TOWARDS_MEAN"): 2.0 / 3.0},
+    "neutral face not moved towards the mean": {(resting, "_TOWARDS_MEAN"): 0.0},
+    "a third of the way": {(resting, "_TOWARDS_MEAN"): 1.0 / 3.0},
+    "two thirds of the way": {(resting, "_TOWARDS_MEAN"): 2.0 / 3.0},
     "brows as far as the rest": {(neutral, "_ACTED"): 1e-6},
     "brows' doubt up to an activation of 0.3": {(neutral, "_ACTED"): 0.3},
     "brows' doubt up to an activation of 0.8": {(neutral, "_ACTED"): 0.8},
-    "gap of shut lips not from the take": {(neutral, "_MAX_SEALED"): 0.0},
-    "calmest moment without the brows' usual height": {(neutral, "_USUAL"): 0.0},
-    "calmest moment without the lids": {(neutral, "_LIDS"): 0.0},
-    "no expression removed from it": {(neutral, "_WEAK"): 10.0},
-    "every expression removed from it": {(neutral, "_WEAK"): 0.0},
+    "gap of shut lips not from the take": {(resting, "_MAX_SEALED"): 0.0},
+    "calmest moment without the brows' usual height": {(resting, "_USUAL"): 0.0},
+    "calmest moment without the lids": {(resting, "_LIDS"): 0.0},
+    "no expression removed from it": {(resting, "_WEAK"): 10.0},
+    "every expression removed from it": {(resting, "_WEAK"): 0.0},
     "half a second of it": {(neutral, "_MOMENT"): 0.5},
     "lower lip not relative to the upper one": {(retarget, "_FACING_LIPS"): ()},
     "lips without gains": {(retarget, "_LIP_GAIN"): (1.0, 1.0)},

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from facemime.core.face.landmarks import BROWS, LOWER_LIPS, UPPER_LIPS
-from facemime.core.takes import neutral
+from facemime.core.takes import rest
 from facemime.core.takes.face_space import load_face_space
 from lab.bench.strangers import ACROSS, Clip, across, patched, read_clips, shut_lips, simple_rules, within
 from tests.helpers.takes import make_take
@@ -58,11 +58,11 @@ def test_lips_that_are_apart_while_the_performers_are_shut_count():
 
 
 def test_rules_are_patched_only_for_a_while():
-    before = neutral._TOWARDS_MEAN
-    with pytest.raises(RuntimeError), patched({(neutral, "_TOWARDS_MEAN"): 0.0}):
-        assert neutral._TOWARDS_MEAN == 0.0
+    before = rest._TOWARDS_MEAN
+    with pytest.raises(RuntimeError), patched({(rest, "_TOWARDS_MEAN"): 0.0}):
+        assert rest._TOWARDS_MEAN == 0.0
         raise RuntimeError
-    assert before == neutral._TOWARDS_MEAN
+    assert before == rest._TOWARDS_MEAN
     assert all(rule(clip(0.0)[0].take).shape == (66, 3) for rule in simple_rules().values())
 
 

@@ -17,7 +17,8 @@ from facemime.core.face.landmarks import N_LANDMARKS, outer_eye_distance
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_ACTIONS
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
-from facemime.core.takes.neutral import Neutral, shut_level
+from facemime.core.takes.neutral import Neutral
+from facemime.core.takes.rest import shut_level
 from facemime.core.tracking.pdm import PointDistributionModel
 from facemime.core.tracking.result import TrackResult
 

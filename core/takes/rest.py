@@ -1,0 +1,105 @@
+"""How far frames of a take are from rest, and what their faces are like at rest (method.md, section 4.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, LOWER_LIPS, NOSE, UPPER_LIPS, eye_apertures, mouth_aperture
+from ..numeric.arrays import FloatArray, IntArray
+from .face_space import load_face_space, without_similarity
+from .take import Take
+
+MAX_SHUT = 0.45
+"""Largest opening of the eyes, relative to the neutral one, that can count as shut."""
+_TURNED = 0.5
+"""Angle in radians, of pitch and yaw together, at which the weight of a frame is 1/e."""
+_MIN_TRUST = 1e-3
+"""Smallest weight of a frame."""
+_DOUBT = 0.2
+"""Amount of expression, in eye distances, that a confidence of 0 counts as."""
+_USUAL = 0.35
+"""Largest share of a take in which brows are lower than at rest. From 0.3 to 0.35 the same moments are found."""
+_LIDS = 0.5
+"""Amount of expression, in eye distances, of lids that are open twice as far as usual. Lids move little, and yet
+half-shut eyes are no neutral face."""
+_LIDS_AT_REST = 0.1
+"""Difference from the usual opening of the eyes, relative to it, that may be rest."""
+_WEAK = 0.3
+"""Activation up to which an expression may be the person's own face."""
+_TOWARDS_MEAN = 0.5
+"""Share of the way to the mean of people's faces, as far as expressions lead there, so that one that lasts does not
+pass for rest. On the strangers' clips of `lab.bench.strangers`, the more the better the frames of different people
+compare, on either half; beyond 0.5 the signs of the hand-labelled clips get worse, as a person's own brows pass for
+expression."""
+_ALONG_EYE = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0 - 0.5
+"""Places of an eye's landmarks between its corners, from the middle, in iBUG's order."""
+_SEALED = 0.15
+"""Share of a take in which the lips are at most as far apart as at rest. Chosen on one half of the strangers' clips."""
+_MAX_SEALED = 0.04
+"""Largest gap, in eye distances, of lips that count as shut, which lips that are seen from below, bearded or blurred
+have. Chosen likewise: with 0.03 fewer shut lips are shown as such, with 0.05 fewer of those that are slightly apart."""
+
+
+def trust(take: Take, frames: IntArray) -> FloatArray:
+    """Compute the frames' weights for `FaceSpace.explain`: positive, and lower for turned and uncertain faces."""
+    turned = np.square(take.pose[frames, 1:3] / _TURNED).sum(axis=1)
+    return np.asarray(take.confidence[frames] * np.exp(-turned) + _MIN_TRUST)
+
+
+def expressed(take: Take, frames: IntArray, activations: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Distance of frames from rest in eye distances, (N,), and the activations that are expression, (N, U)."""
+    space = load_face_space()
+    # The height of brows at rest differs more between people than the space covers, so it is taken from the take.
+    usual = np.where(space.of_brows, np.quantile(activations, _USUAL, axis=0), 0.0)
+    opening = eye_apertures(take.shape[frames].astype(np.float64)).mean(axis=1)
+    amount = space.amount(activations - usual) + _DOUBT * (1.0 - take.confidence[frames])
+    amount += _LIDS * np.maximum(np.abs(opening / np.median(opening) - 1.0) - _LIDS_AT_REST, 0.0)
+    # Weak activations may be the person's own face; strong ones are expressions, which a face at rest would not show.
+    return amount, np.maximum(activations - np.maximum(usual, _WEAK), 0.0)
+
+
+def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> FloatArray:
+    """Move a shape (66, 3) towards the mean of people's faces, with lips as far apart as the take's shut ones.
+
+    The mean keeps an expression that lasts from passing for rest. `brows` is the doubt, 0 to 1, whether these rest;
+    `openings` (N,) are those of the mouth. Pose and size of the face stay.
+    """
+    space = load_face_space()
+    away = without_similarity((shape - space.mean)[None], space.mean)[0]
+    expressed = space.expressed(away)
+    # Heights of brows and lids differ more between people than the space covers: all of it may be expression. The
+    # sockets of the eyes and the bridge of the nose do not move, or lids would slide off the eyeballs, so lids are
+    # measured from the line between the corners of their eye, and brows from its middle.
+    expressed[BROWS, 1] = brows * away[BROWS, 1]
+    expressed[NOSE[:4]] = 0.0
+    for eye, brow in ((EYE_RIGHT, BROWS[:5]), (EYE_LEFT, BROWS[5:])):
+        first, last = away[eye[[0, 3]], 1]
+        expressed[eye] = 0.0
+        expressed[eye, 1] = away[eye, 1] - 0.5 * (first + last) - _ALONG_EYE * (last - first)
+        expressed[brow, 1] -= 0.5 * (first + last)
+    rest = shape - _TOWARDS_MEAN * expressed
+    # The tracker sees shut lips of one person closer together than those of another.
+    gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
+    lacking = max(gap - float(mouth_aperture(rest)), 0.0)
+    rest[UPPER_LIPS, 1] -= lacking / 2.0
+    rest[LOWER_LIPS, 1] += lacking / 2.0
+    return np.asarray(rest)
+
+
+def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:
+    """Estimate `Neutral.shut`: how much of the opening remains when the eyes are most closed; 0 if they never shut.
+
+    The third smallest opening of the shapes (N, 66, 3) is used, as a blink lasts several frames at any usual rate, a
+    misplaced lid one or two.
+    """
+    opening = eye_apertures(shapes).mean(axis=1)
+    at_rest = float(eye_apertures(neutral).mean())
+    least = np.sort(opening)[min(2, len(opening) - 1)]
+    left = float(np.clip(least / max(at_rest, 1e-9), 0.0, 1.0))
+    return left if left < MAX_SHUT else 0.0
+
+
+def median_of_known(values: FloatArray) -> FloatArray:
+    """Median over frames (N, D), (D,); NaN if none is known."""
+    known = values[np.isfinite(values).all(axis=1)].astype(np.float64)
+    return np.median(known, axis=0) if len(known) else np.full(values.shape[1], np.nan)
