@@ -12,6 +12,7 @@ import facemime
 from facemime.blender import rendering
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.new_heads import add_head
+from facemime.blender.meshes import read_landmarks
 from facemime.core.puppet.sources import PacedSource
 from facemime.core.takes.file import save_take
 from facemime.core.takes.neutral import calibrate
@@ -72,6 +73,18 @@ def _pictures_where_they_can_be_drawn():
 @pytest.fixture(autouse=True)
 def _frames_come_when_asked(monkeypatch):
     monkeypatch.setattr(PacedSource, "pace", AskedClock())
+
+
+@pytest.fixture
+def at_the_takes_rate():
+    """Set the frame rate to the take's, as caches hold whole frames."""
+    bpy.context.scene.render.fps = 25
+
+
+@pytest.fixture
+def true():
+    """The landmarks of the built-in head."""
+    return read_landmarks(add_head(bpy.context))
 
 
 @pytest.fixture

@@ -1,68 +1,31 @@
-"""All bakes: existing shape keys, caches, clean curves, NLA, bones, and impossible ones."""
-
-from dataclasses import replace
-from pathlib import Path
+"""All bakes: existing shape keys, caches, clean curves, NLA, and bones."""
 
 import bpy
 import numpy as np
 import pytest
 
 from facemime.blender.actions import TRACK
-from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX, read_keys
-from facemime.blender.animation.bake_report import PuppetReport
+from facemime.blender.animation.bake_keys import BAKED_KEY_PREFIX
 from facemime.blender.animation.exporting import MODIFIER
 from facemime.blender.animation.live import Follow, LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head, puppet_heads
 from facemime.blender.animation.refit import keyframe_count
 from facemime.blender.animation.targets import PoseTarget
-from facemime.blender.characters import members_of
-from facemime.blender.frames import from_blender, rotation_to_blender
+from facemime.blender.frames import rotation_to_blender
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rigs import read_rig
-from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.errors import FacemimeError, HeadError, OutputError, SourceError
+from facemime.core.errors import HeadError
 from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.smooth import smooth_take
+from tests.helpers.bakes import armature, bake, largest_error, played
 from tests.helpers.curves import curves_of
 from tests.helpers.takes import performance
 from tests.helpers.thorough import first_of
 
-
-@pytest.fixture(autouse=True)
-def _at_the_takes_rate(_empty_file):
-    """Set the frame rate to the take's, as caches hold whole frames."""
-    bpy.context.scene.render.fps = 25
-
-
-def bake(head: bpy.types.Object, targets=None, **options) -> PuppetReport:
-    """Bake the performance, relative to its first second, in which it rests."""
-    bake = BakeSettings(**{"whole_frames": False, **options})
-    settings = PuppetSettings(bake=bake, translation=True, neutral=0.0)
-    return puppet_head(bpy.context.scene, head, performance(), settings, targets)
-
-
-def played(head: bpy.types.Object, report: PuppetReport, row: int) -> np.ndarray:
-    """Return (V, 3) vertices in the head frame, with the scene at the time of a row of the motion."""
-    frame = frames_of(bpy.context.scene, report.motion.times[row])
-    bpy.context.scene.frame_set(int(np.floor(frame)), subframe=float(frame % 1.0))
-    mesh = head.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
-    flat = np.empty(3 * len(mesh.vertices), np.float32)
-    mesh.vertices.foreach_get("co", flat)
-    return from_blender(flat.reshape(-1, 3))
-
-
-def largest_error(head: bpy.types.Object, report: PuppetReport) -> float:
-    """Return the largest difference between playback and live frames in the whole take, eye distances."""
-    rig = read_rig(head)
-    take = smooth_take(performance())
-    driver, worst = HeadDriver(rig, report.neutral), 0.0
-    for row, frame in enumerate(np.flatnonzero(take.found)):
-        away = played(head, report, row) - driver.frame(take.result(int(frame))).vertices[: len(rig.vertices)]
-        worst = max(worst, float(np.linalg.norm(away, axis=1).max()))
-    return worst / rig.eye_distance
+pytestmark = pytest.mark.usefixtures("at_the_takes_rate")
 
 
 @pytest.mark.parametrize("nla", first_of([False, True]))
@@ -195,19 +158,6 @@ def test_a_bake_never_removes_an_animators_curves():
     assert [tuple(point.co) for point in curve.keyframe_points] == [(7.0, pytest.approx(0.4))]
 
 
-def armature(*bones: str) -> bpy.types.Object:
-    """Add an armature at the origin whose bones have various orientations."""
-    rig = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
-    bpy.context.collection.objects.link(rig)
-    bpy.context.view_layer.objects.active = rig
-    bpy.ops.object.mode_set(mode="EDIT")
-    for i, name in enumerate(bones):
-        bone = rig.data.edit_bones.new(name)
-        bone.head, bone.tail, bone.roll = (0.1 * i, 0.0, 0.0), (0.1 * i, 0.05 * i - 0.1, 0.1), 0.3 * i
-    bpy.ops.object.mode_set(mode="OBJECT")
-    return rig
-
-
 @pytest.mark.parametrize("mode", first_of(["QUATERNION", "XYZ", "AXIS_ANGLE"]))
 def test_bones_follow_the_baked_pose_of_head_and_eyes_as_they_do_live(mode):
     head = add_head(bpy.context)
@@ -319,87 +269,6 @@ def test_a_baked_head_shows_only_the_live_frame_and_plays_its_bake_afterwards(ke
     np.testing.assert_allclose(played(head, report, 40), before, atol=1e-6)
 
 
-def test_a_strip_that_is_tweaked_stops_a_bake_before_anything_has_changed():
-    head, rig = add_head(bpy.context), armature("Head")
-    rig.pose.bones["Head"].keyframe_insert("rotation_quaternion", frame=1)
-    data = rig.animation_data
-    data.nla_tracks.new().strips.new("Walk", 1, data.action)
-    data.action = None
-    data.use_tweak_mode = True
-    if not data.use_tweak_mode:
-        pytest.skip("this Blender enters Tweak Mode in its editor only")
-    with pytest.raises(HeadError, match="Tweak Mode"):
-        bake(head, {"head": PoseTarget.of(rig, "Head")})
-    assert head.data.shape_keys is None
-
-
-def library(tmp_path: Path, **options) -> Path:
-    """Save a head to a file, and return to an empty one."""
-    head = add_head(bpy.context, **options)
-    path = tmp_path / "library.blend"
-    bpy.data.libraries.write(str(path), {head, *head.children})
-    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    bpy.context.scene.render.fps = 25
-    return path
-
-
-def linked(path: Path) -> bpy.types.Object:
-    """Link the head of another file into the scene."""
-    with bpy.data.libraries.load(str(path), link=True) as (_, data):
-        data.objects = ["Facemime Head"]
-    bpy.context.collection.objects.link(data.objects[0])
-    return data.objects[0]
-
-
-def test_a_linked_head_is_refused_and_an_overridden_one_plays_a_cache(tmp_path):
-    head = linked(library(tmp_path))
-    for keys in ("new", "cache"):
-        with pytest.raises(HeadError, match="linked from another file"):
-            bake(head, keys=keys, path=tmp_path / "a.pc2")
-    own = head.override_create(remap_local_usages=True)
-    with pytest.raises(HeadError, match="shape keys cannot be added"):
-        bake(own)
-    report = bake(own, keys="cache", path=tmp_path / "a.pc2")
-    assert largest_error(own, report) < 1e-4
-
-
-def test_an_overridden_head_with_linked_keys_is_reported(tmp_path):
-    own = linked(library(tmp_path, units=True)).override_create(remap_local_usages=True)
-    with pytest.raises(HeadError, match="linked from another file"):
-        bake(own, keys="named")
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"keys": "named"}, "has no shape keys"),
-        ({"keys": "mapped"}, "has no shape keys"),
-        ({"keys": "cache"}, "has no file name"),
-    ],
-)
-def test_missing_requirements_are_reported_before_anything_changes(options, message):
-    head = add_head(bpy.context)
-    with pytest.raises(FacemimeError, match=message):
-        bake(head, **options)
-    assert head.data.shape_keys is None and head.animation_data is None and len(head.modifiers) == 1
-
-
-@pytest.mark.thorough
-def test_unmatched_and_absolute_shape_keys_are_rejected():
-    head = add_head(bpy.context)
-    for name in ("Basis", "Fat", "Thin"):
-        head.shape_key_add(name=name, from_mix=False)
-    with pytest.raises(HeadError, match="No key mapping preset matches"):
-        bake(head, keys="mapped")
-    with pytest.raises(HeadError, match="key mapping mine matches none"):
-        bake(head, keys="mapped", table=KeyMap("mine", (KeyRow("jawOpen", "Open"),)))
-    head.data.shape_keys.use_relative = False
-    with pytest.raises(HeadError, match="absolute"):
-        read_keys(members_of(head))
-    with pytest.raises(HeadError, match="absolute"):
-        bake(head)
-
-
 @pytest.mark.thorough
 def test_each_of_several_heads_gets_a_cache(tmp_path):
     heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
@@ -408,20 +277,6 @@ def test_each_of_several_heads_gets_a_cache(tmp_path):
     assert len({head.modifiers[MODIFIER].filepath for head in heads}) == 2
     for head, report in zip(heads, reports, strict=True):
         assert largest_error(head, report) < 1e-4
-
-
-def test_a_cache_that_cannot_be_written_is_reported(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError, match="Cannot write"):
-        bake(add_head(bpy.context), keys="cache", path=tmp_path / "file" / "a.pc2")
-
-
-@pytest.mark.parametrize("start", [1.7e9, -1.7e9])
-def test_times_beyond_blenders_last_frame_are_reported_and_nothing_changes(start):
-    head, take = add_head(bpy.context), performance()
-    with pytest.raises(SourceError, match="beyond Blender's last frame"):
-        puppet_head(bpy.context.scene, head, replace(take, times=take.times + start))
-    assert head.data.shape_keys is None and head.animation_data is None
 
 
 @pytest.mark.thorough
@@ -449,14 +304,6 @@ def test_solo_active_shape_key_does_not_hide_the_bake(keys):
     head.show_only_shape_key = True
     report = bake(head, keys=keys)
     assert largest_error(head, report) <= report.worst_error + 1e-4
-
-
-def test_several_heads_are_baked_all_or_none(tmp_path):
-    heads = [add_head(bpy.context, name=name) for name in ("One", "Two")]
-    heads[1].vertex_groups.clear()
-    with pytest.raises(HeadError, match="Missing vertex groups of Two"):
-        puppet_heads(bpy.context.scene, heads, performance())
-    assert all(head.data.shape_keys is None and head.animation_data is None for head in heads)
 
 
 def test_a_built_in_head_without_keys_is_given_those_of_arkit_and_one_that_was_sculpted_is_not():

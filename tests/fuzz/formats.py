@@ -14,7 +14,6 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-import cv2
 import numpy as np
 
 from facemime.cli.clips import checked_record
@@ -26,7 +25,6 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.retarget import retargeter_for
 from facemime.core.drive.teaching import TaughtKeys
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.files.capture import VideoSource, read_image
 from facemime.core.files.reading import parse_json
 from facemime.core.files.setting import Choice, Setting
 from facemime.core.heads import key_map
@@ -44,6 +42,7 @@ from facemime.core.tracking.linear_fitter import RADII, LinearFitter
 from facemime.core.tracking.model_file import _HEADER, FORMAT_VERSION, MAGIC
 from facemime.core.tracking.pdm import FittedShape
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
+from tests.fuzz.media import filmed_face, mutated_picture, picture, read_picture, read_video, video
 from tests.helpers.facegen_files import OBJ, egm, tri
 from tests.helpers.facetracker_files import facetracker_file, sample_experts, small_pdm
 from tests.helpers.takes import performance
@@ -51,8 +50,6 @@ from tests.helpers.takes import performance
 from .mutators import Arrays, archive_bytes, mutated_archive, mutated_bytes, mutated_json, npy_bytes
 from .recordings import TAKES
 from .streams import INTACT, mutated_packet, packets, reader
-
-SAMPLE = Path(HEAD_FILE).parents[1] / "sample" / "sample.mp4"
 
 
 @dataclass(frozen=True)
@@ -142,12 +139,6 @@ def _mutated_tracker(rng: Random) -> bytes:
 
 
 @cache
-def _face() -> np.ndarray:
-    with VideoSource(SAMPLE) as source:
-        return cv2.resize(next(iter(source)).image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
-
-
-@cache
 def _cascades() -> CascadeDetector:
     return CascadeDetector()
 
@@ -156,7 +147,7 @@ def _read_tracker(path: Path) -> None:
     tracker = FaceTracker.load(path)
     tracker.search._cascades = _cascades()  # which would read its own files, slowly
     for _ in range(2):
-        tracker.track(_face())
+        tracker.track(filmed_face())
 
 
 @cache
@@ -281,44 +272,6 @@ def _packet(name: str) -> bytes:
     return packets(name)[0]
 
 
-_SUFFIXES = (".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm", ".pgm")
-
-
-@cache
-def _picture(suffix: str) -> bytes:
-    picture = cv2.resize(_face(), (64, 48))
-    return bytes(cv2.imencode(suffix, picture[..., 0] if suffix == ".pgm" else picture)[1])
-
-
-def _mutated_picture(rng: Random) -> bytes:
-    return mutated_bytes(rng, _picture(rng.choice(_SUFFIXES)))
-
-
-def _read_picture(path: Path) -> None:
-    image = read_image(path)
-    assert image.ndim == 3 and image.size
-    cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-
-
-@cache
-def _video() -> bytes:
-    with tempfile.TemporaryDirectory() as folder:
-        path = str(Path(folder) / "clip.mp4")
-        out = cv2.VideoWriter(path, cv2.VideoWriter.fourcc(*"mp4v"), 25.0, (64, 48))
-        for shift in range(12):
-            out.write(np.roll(cv2.resize(_face(), (64, 48)), shift, axis=1))
-        out.release()
-        return Path(path).read_bytes()
-
-
-def _read_video(path: Path) -> None:
-    with VideoSource(path) as source:
-        for frame in source:
-            assert frame.image.size and np.isfinite(frame.time)
-            if frame.index > 50:
-                break
-
-
 @cache
 def _style_arrays() -> Arrays:
     """Arrays of the file of a style, by name."""
@@ -396,6 +349,6 @@ FORMATS: dict[str, Format] = {
         f"stream {name}": Format(".packet", partial(_packet, name), partial(mutated_packet, name), reader(name))
         for name in INTACT
     },
-    "picture": Format(".png", lambda: _picture(".png"), _mutated_picture, _read_picture, 512),
-    "video": Format(".mp4", _video, lambda rng: mutated_bytes(rng, _video()), _read_video, 512),
+    "picture": Format(".png", lambda: picture(".png"), mutated_picture, read_picture, 512),
+    "video": Format(".mp4", video, lambda rng: mutated_bytes(rng, video()), read_video, 512),
 }

@@ -28,7 +28,8 @@ import facemime
 from facemime.core.puppet.sources import PacedSource
 from facemime.operators.attached_parts import attend as attend_parts
 from facemime.sessions.session import Session
-from tests.fuzz.steps import NAMES, OURS, STAND_INS, STEPS, Files, Stage
+from tests.fuzz.stage import Files, Stage
+from tests.fuzz.steps import NAMES, OURS, STAND_INS, STEPS
 from tests.helpers.clocks import AskedClock
 from tests.helpers.live_ticks import attend
 

@@ -5,8 +5,9 @@ import numpy as np
 from facemime.core.face.landmarks import OUTER_EYE_CORNERS, from_ibug
 from facemime.core.face.names import COEFFICIENT_INDEX, N_ACTIONS, N_COEFFICIENTS
 from facemime.core.heads.built_in import load_head
+from facemime.core.takes.format import HEADER, chunks_in
 from facemime.core.takes.measured import coefficient_face
-from facemime.core.takes.take import Take, TakeRecorder
+from facemime.core.takes.take import FIELDS, Take, TakeRecorder
 
 CHIN_AND_LIP = from_ibug([*range(4, 13), *range(55, 60), *range(65, 68)])
 BROWS = from_ibug(range(17, 27))
@@ -69,3 +70,17 @@ def coefficient_take(count: int = 40, fps: float = 60.0) -> Take:
     take = recorder.finish()
     take.info["calibration"] = face.neutral.to_dict()
     return take
+
+
+def same_rows(part: Take, whole: Take) -> bool:
+    """Whether every frame of `part` equals the frame of `whole` at that time, bit by bit."""
+    rows = np.searchsorted(whole.times, part.times)
+    return all(np.array_equal(getattr(part, f), getattr(whole, f)[rows], equal_nan=f != "found") for f in FIELDS)
+
+
+def starts(data: bytes) -> list[int]:
+    """Return where the chunks of an intact file begin."""
+    places = [0]
+    for chunk in chunks_in(data):
+        places.append(places[-1] + HEADER.size + len(chunk.content))
+    return places[:-1]

