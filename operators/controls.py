@@ -4,7 +4,6 @@ from collections.abc import Generator
 from contextlib import closing
 
 import bpy
-import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
@@ -16,7 +15,6 @@ from ..blender.controls.stored import require_storable, rig_group, stored_map, w
 from ..blender.heads.parts import ensure_bones
 from ..blender.rigs import read_rig
 from ..core.errors import HeadError
-from ..core.numeric.arrays import FloatArray
 from ..core.puppet.performer import Performance
 from ..core.rigs.few import ControlOrder, face_units
 from ..sessions.session import Session
@@ -108,27 +106,16 @@ class FACEMIME_OT_rank_controls(WorksInSteps, OnHead, bpy.types.Operator):
             raise HeadError(
                 "The controls of {name} are not known. Use Learn Controls in the Head panel first.", name=head.name
             )
-        motion = face_units(found.unit) if self.take < 0 else motion_of_take(context.scene, head, self.take)
+        motion, name = face_units(found.unit), ""
+        if self.take >= 0:
+            line = takes_store.at(context.scene, self.take)
+            performance = Performance.of(takes_store.read(line), puppet_settings(context.scene.facemime))
+            motion, name = performance.landmark_motion(read_rig(head), _FRAMES), line.name
         require_storable(head)
         order = ControlOrder(found, motion)
         yield from order.steps()
-        name = "" if self.take < 0 else takes_store.at(context.scene, self.take).name
         write_order(head, order, name)
         report(self, "{count} controls ranked", count=len(found.controls))
-
-
-def motion_of_take(scene: bpy.types.Scene, head: bpy.types.Object, place: int) -> FloatArray:
-    """Displacements (N, 66, 3) of a head's landmarks in frames of the take at a place in the list.
-
-    Raises FacemimeError if there is no such take, or it contains no face.
-    """
-    take = takes_store.read(takes_store.at(scene, place))
-    performance, rig = Performance.of(take, puppet_settings(scene.facemime)), read_rig(head)
-    driver, rest = performance.driver(rig), rig.vertices[rig.landmarks]
-    seen = np.flatnonzero(performance.take.found)
-    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, _FRAMES).astype(np.intp))]
-    frames = [driver.frame(performance.take.result(int(row))).vertices[rig.landmarks] for row in chosen]
-    return np.asarray(np.array(frames, dtype=np.float64) - rest)
 
 
 class FACEMIME_OT_export_control_sheet(AsksForFileToWrite, OnHead, bpy.types.Operator):

@@ -27,8 +27,9 @@ _NOT_SHOWN = {"WINDOW", "Facemime", "3D View"}
 
 
 def sources() -> list[Path]:
-    """Return the modules with texts that Blender looks up."""
-    return _modules("operators/*.py", "ui/*.py", "settings/*.py", "blender/*properties.py", "core/*/*settings.py")
+    """Return the modules with texts that Blender looks up; in core, these are the ones that define settings."""
+    defining = [path for path in _modules("core/*/*.py") if _SETTINGS & _imported(path)]
+    return [*_modules("operators/*.py", "ui/*.py", "settings/*.py", "blender/*properties.py"), *defining]
 
 
 def message_sources() -> list[Path]:
@@ -44,6 +45,11 @@ def _modules(*patterns: str) -> list[Path]:
 def _nodes(path: Path) -> list[ast.AST]:
     """All nodes of a module, the module itself first."""
     return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+def _imported(path: Path) -> set[str]:
+    """Return the names that a module imports from others."""
+    return {name.name for node in _nodes(path) if isinstance(node, ast.ImportFrom) for name in node.names}
 
 
 @cache

@@ -72,6 +72,14 @@ class Performance:
         """Create the driver of a head for this performance; `reuse` as for `HeadDriver`."""
         return HeadDriver(rig, self.neutral, self.settings, reuse=reuse)
 
+    def landmark_motion(self, rig: HeadRig, count: int) -> FloatArray:
+        """Displacements (N, 66, 3) of a head's landmarks in up to `count` frames with a face, evenly spaced."""
+        driver, rest = self.driver(rig), rig.vertices[rig.landmarks]
+        seen = np.flatnonzero(self.take.found)
+        chosen = seen[np.unique(np.linspace(0, len(seen) - 1, count).astype(np.intp))]
+        frames = [driver.frame(self.take.result(int(row))).vertices[rig.landmarks] for row in chosen]
+        return np.asarray(np.array(frames, dtype=np.float64) - rest)
+
 
 _MAX_YAW = np.radians(20.0)
 """Yaw in radians above which the head was turned."""
