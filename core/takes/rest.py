@@ -66,18 +66,18 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> Floa
     """
     space = load_face_space()
     away = without_similarity((shape - space.mean)[None], space.mean)[0]
-    expressed = space.expressed(away)
+    acted = space.expressed(away)
     # Heights of brows and lids differ more between people than the space covers: all of it may be expression. The
     # sockets of the eyes and the bridge of the nose do not move, or lids would slide off the eyeballs, so lids are
     # measured from the line between the corners of their eye, and brows from its middle.
-    expressed[BROWS, 1] = brows * away[BROWS, 1]
-    expressed[NOSE[:4]] = 0.0
+    acted[BROWS, 1] = brows * away[BROWS, 1]
+    acted[NOSE[:4]] = 0.0
     for eye, brow in ((EYE_RIGHT, BROWS[:5]), (EYE_LEFT, BROWS[5:])):
         first, last = away[eye[[0, 3]], 1]
-        expressed[eye] = 0.0
-        expressed[eye, 1] = away[eye, 1] - 0.5 * (first + last) - _ALONG_EYE * (last - first)
-        expressed[brow, 1] -= 0.5 * (first + last)
-    rest = shape - _TOWARDS_MEAN * expressed
+        acted[eye] = 0.0
+        acted[eye, 1] = away[eye, 1] - 0.5 * (first + last) - _ALONG_EYE * (last - first)
+        acted[brow, 1] -= 0.5 * (first + last)
+    rest = shape - _TOWARDS_MEAN * acted
     # The tracker sees shut lips of one person closer together than those of another.
     gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
     lacking = max(gap - float(mouth_aperture(rest)), 0.0)
