@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients, look_factors
 from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
-from ...core.bake.fit import MotionBasis, fit_basis, fit_keys, mix_errors
+from ...core.bake.fit import MotionBasis, fit_basis, fit_weights, left_over, mix_errors
 from ...core.bake.point_cache import SUFFIX
 from ...core.drive.driver import HeadMotion, drive_take
 from ...core.drive.teaching import TaughtKeys
@@ -214,15 +214,16 @@ def _added_keys(basis: MotionBasis, kind: str) -> MeshKeys:
 def _named(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
     keys = read_keys(members_of(obj))
     keys = keys.chosen(expression_keys(keys.names))
-    fit = fit_keys(motion.vertices, keys.offsets, keys.lower, keys.upper, exclusive_keys(keys.names))
+    named = fit_weights(motion.vertices, keys.offsets, keys.lower, keys.upper, exclusive_keys(keys.names))
     if not (bake.residual and can_add_keys(obj)):
-        return _values_plan(obj, keys, fit.weights, timing, unit, bake, fit.worst_error)
-    shown = np.einsum("nk,kvc->nvc", fit.weights.astype(np.float32), keys.offsets, optimize=True)
-    basis = fit_basis(motion.vertices - shown, _RESIDUAL_TOLERANCE * unit, bake.max_keys)
+        error, _ = mix_errors(motion.vertices, keys.offsets, named)
+        return _values_plan(obj, keys, named, timing, unit, bake, error)
+    left, error = left_over(motion.vertices, keys.offsets, named)
+    basis = fit_basis(left, _RESIDUAL_TOLERANCE * unit, bake.max_keys)
     if not len(basis.modes):
-        return _values_plan(obj, keys, fit.weights, timing, unit, bake, fit.worst_error)
+        return _values_plan(obj, keys, named, timing, unit, bake, error)
     added = _added_keys(basis, f"{RESIDUAL} ")
-    weights = np.column_stack([fit.weights, basis.weights])
+    weights = np.column_stack([named, basis.weights])
     return _values_plan(
         obj,
         keys.joined(added),
@@ -232,7 +233,7 @@ def _named(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: floa
         bake,
         basis.worst_error,
         added=added,
-        named_error=fit.worst_error,
+        named_error=error,
     )
 
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -140,15 +141,13 @@ def _worst(flat: NDArray[np.float32], weights: NDArray[np.float32], modes: NDArr
 
     Works on a few frames at a time, so that no second array of the size of the motion is allocated.
     """
-    parts = [slice(n, n + _FRAMES_AT_ONCE) for n in range(0, len(flat), _FRAMES_AT_ONCE)]
-    found = [_farthest(flat[part] - multiply(weights[part], modes)) for part in parts]
+    found = [_farthest(flat[part] - multiply(weights[part], modes)) for part in _parts(len(flat))]
     return np.concatenate(found) if found else np.zeros(0)
 
 
 def _farthest(residual: NDArray[np.float32]) -> FloatArray:
     """Largest distance of a vertex in each frame of a residual (N, 3 V), (N,)."""
-    points = residual.reshape(len(residual), -1, 3)
-    return np.asarray(np.sqrt(np.einsum("nvc,nvc->nv", points, points).max(axis=1, initial=0.0)))
+    return np.asarray(np.sqrt(_squares(residual).max(axis=1, initial=0.0)))
 
 
 @dataclass(frozen=True)
@@ -205,17 +204,29 @@ def fit_keys(
     >>> fit.weights.round(2).tolist()
     [[0.5, 0.0, 0.0, 0.0], [0.0, 0.5, 0.0, 0.0]]
     """
+    weights = fit_weights(motion, keys, lower, upper, exclusive)
+    return KeyFit(weights, *mix_errors(motion, keys, weights))
+
+
+def fit_weights(
+    motion: FloatArray,
+    keys: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    exclusive: Sequence[tuple[int, int]] = (),
+) -> FloatArray:
+    """Fit only the weights (N, K) of `fit_keys`."""
     flat = np.ascontiguousarray(keys, dtype=np.float64).reshape(len(keys), -1)
     # Normal equations of equation 9.1, in which the motion enters only by its products with the keys.
     gram = multiply(flat, flat.T)
     gram[np.diag_indices(len(gram))] += RIDGE * max(float(np.trace(gram)) / max(len(gram), 1), 1e-30)
-    parts = (motion[n : n + _FRAMES_AT_ONCE] for n in range(0, len(motion), _FRAMES_AT_ONCE))
-    products = np.concatenate([multiply(part.reshape(len(part), -1).astype(np.float64), flat.T) for part in parts])
+    moved = motion.reshape(len(motion), -1)
+    products = np.concatenate([multiply(moved[part].astype(np.float64), flat.T) for part in _parts(len(moved))])
     low, high = np.asarray(lower, float), np.asarray(upper, float)
     weights = bounded_least_squares(gram, products, low, high)
     if pairs := [pair for pair in exclusive if low[list(pair)].max() <= 0.0]:
         _exclude(weights, np.array(pairs, dtype=np.intp), gram, products, low, high)
-    return KeyFit(weights, *mix_errors(motion, keys, weights))
+    return weights
 
 
 def _exclude(
@@ -238,12 +249,14 @@ def _exclude(
         changed = np.unique(rows)
         # Rows without the same keys are fitted together.
         patterns, of = np.unique(left_out[changed], axis=0, return_inverse=True)
-        weights[changed] = 0.0
         for number, pattern in enumerate(patterns):
             alike, kept = changed[of.reshape(-1) == number], np.flatnonzero(~pattern)
-            weights[np.ix_(alike, kept)] = bounded_least_squares(
-                gram[np.ix_(kept, kept)], products[np.ix_(alike, kept)], lower[kept], upper[kept]
+            own = np.ix_(alike, kept)
+            # Without a weak key, the others are nearly the same.
+            weights[own] = bounded_least_squares(
+                gram[np.ix_(kept, kept)], products[own], lower[kept], upper[kept], weights[own]
             )
+            weights[np.ix_(alike, np.flatnonzero(pattern))] = 0.0
 
 
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:
@@ -253,9 +266,32 @@ def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tup
     """
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     worst, total = 0.0, 0.0
-    for n in range(0, len(motion), _FRAMES_AT_ONCE):
-        part = motion[n : n + _FRAMES_AT_ONCE]
-        mixed = multiply(weights[n : n + _FRAMES_AT_ONCE], flat)
-        squared = np.square(mixed.reshape(part.shape) - part).sum(axis=2, dtype=np.float64)
-        worst, total = max(worst, float(squared.max(initial=0.0))), total + float(squared.sum())
+    for part in _parts(len(motion)):
+        squared = _squares(multiply(weights[part], flat) - motion[part].reshape(-1, flat.shape[1]))
+        worst, total = max(worst, float(squared.max(initial=0.0))), total + float(squared.sum(dtype=np.float64))
     return float(np.sqrt(worst)), float(np.sqrt(total / max(motion.shape[0] * motion.shape[1], 1)))
+
+
+def left_over(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[NDArray[np.float32], float]:
+    """Return what a mix of shape keys leaves of a motion, (N, V, 3), and the length of the largest vector in it.
+
+    Arrays are as for `mix_errors`.
+    """
+    flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
+    left, worst = np.empty(motion.shape, dtype=np.float32), 0.0
+    for part in _parts(len(motion)):
+        own = left[part].reshape(-1, flat.shape[1])
+        np.subtract(motion[part].reshape(own.shape), multiply(weights[part], flat), out=own)
+        worst = max(worst, float(_squares(own).max(initial=0.0)))
+    return left, float(np.sqrt(worst))
+
+
+def _parts(frames: int) -> list[slice]:
+    """Divide frames into parts that are processed at a time."""
+    return [slice(n, n + _FRAMES_AT_ONCE) for n in range(0, frames, _FRAMES_AT_ONCE)]
+
+
+def _squares(vectors: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+    """Squared lengths (N, V) of vectors (N, 3 V)."""
+    points = vectors.reshape(len(vectors), -1, 3)
+    return np.asarray(np.einsum("nvc,nvc->nv", points, points))

@@ -10,8 +10,9 @@ from .arrays import FloatArray
 
 _TOLERANCE = 1e-10
 """Gradient at a bound, relative to the largest number of the system, below which a variable stays there."""
-_STEPS = 200
-"""Number of projected gradient steps, after which most active bounds are known."""
+_STEPS = 50
+"""Number of projected gradient steps, after which most active bounds are known. For 52 keys and a minute of the shared
+clips, 25 take a fifth longer in all, and 200 a third."""
 _TRIES = 3
 """Exchanges after which fewer variables have to be wrong."""
 _FEW = 4
