@@ -26,6 +26,17 @@ def euler_to_matrix(pitch: float, yaw: float, roll: float) -> FloatArray:
     )
 
 
+def euler_to_matrices(angles: FloatArray) -> FloatArray:
+    """Return the rotation matrices (N, 3, 3) of angles (N, 3) in radians, as `euler_to_matrix` does for one."""
+    (cx, cy, cz), (sx, sy, sz) = np.cos(angles).T, np.sin(angles).T
+    rows = [
+        *(cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx),
+        *(sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx),
+        *(-sy, cy * sx, cy * cx),
+    ]
+    return np.asarray(np.stack(rows, axis=-1).reshape(-1, 3, 3))
+
+
 def matrix_to_euler(rotation: FloatArray) -> tuple[float, float, float]:
     """Return pitch, yaw and roll, |yaw| <= pi / 2, of a rotation, (3, 3); the inverse of `euler_to_matrix`."""
     yaw = np.arctan2(-rotation[2, 0], np.hypot(rotation[2, 1], rotation[2, 2]))

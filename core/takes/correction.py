@@ -23,7 +23,7 @@ from ..face.landmarks import (
     lid_gaps,
     lip_gaps,
 )
-from ..face.rotation import euler_to_matrix
+from ..face.rotation import euler_to_matrices
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 from .face_space import load_face_space
@@ -215,7 +215,7 @@ class _Solution:
         pins = pins_of(self._take)
         times, landmarks = np.array([pin.time for pin in pins]), np.array([pin.landmark for pin in pins])
         rows, seen = frames_of_pins(self._take, times)
-        axes = np.array([euler_to_matrix(*angles)[:2] for angles in self._poses[rows, 1:4]])
+        axes = euler_to_matrices(self._poses[rows, 1:4])[:, :2]
         tracked = self._take.landmarks[self._found[rows], landmarks].astype(np.float64)
         away = (np.array([(pin.x, pin.y) for pin in pins]) - tracked) / self._poses[rows, :1]
         seen &= np.abs(away).max(axis=1) < _FARTHEST

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import SourceError
-from ..face.rotation import euler_to_matrix
+from ..face.rotation import euler_to_matrices
 from ..files.setting import Choice, setting
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
@@ -170,7 +170,7 @@ def find_outliers(take: Take) -> NDArray[np.bool_]:
     seen = np.flatnonzero(take.found)
     if len(seen) < 2 * _NEIGHBOURS + 1:
         return outliers
-    turns = np.array([euler_to_matrix(*angles).ravel() for angles in take.pose[seen, 1:4]])
+    turns = euler_to_matrices(take.pose[seen, 1:4]).reshape(-1, 9)
     unit = np.median(take.pose[seen, 0])
     place = np.column_stack([np.log(take.pose[seen, 0]), take.pose[seen, 4:6] / unit])
     shape = take.shape[seen].reshape(len(seen), -1).astype(np.float64)

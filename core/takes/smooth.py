@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from ..errors import FacemimeError
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
-from ..tracking.smoothing import SHAPE_PARTS, ResultSmoother
-from .take import Take, TakeRecorder
+from ..tracking.smoothing import ACTION, GAZE, PLACE, ROTATION, SHAPE_PARTS, smooth_all
+from .take import Take
 from .timing import project
 
 CUTOFFS: dict[str, float] = {
@@ -40,6 +40,8 @@ _MIN_STEP = 1e-3
 """Smallest time between frames in seconds. Where a part was punched in, two frames may nearly coincide."""
 _MIN_FRAMES = 5
 """Smallest number of frames that is smoothed."""
+_OTHERS = (("gaze", GAZE, 1), ("vergence", ACTION, 0), ("actions", ACTION, 0), ("coefficients", ACTION, 0))
+"""Arrays beside shape and pose that are smoothed as live, and how."""
 
 
 def smooth_take(take: Take, amount: float = 1.0) -> Take:
@@ -68,10 +70,32 @@ def smooth_take(take: Take, amount: float = 1.0) -> Take:
     """
     if amount <= 0.0 or take.info.get("smoothed") or take.info.get("measured"):
         return take
-    smoother, recorder = ResultSmoother(amount), TakeRecorder({**take.info, "smoothed": "one-euro"})
-    for frame, time in enumerate(take.times.tolist()):
-        recorder.append(time, smoother.smooth(take.result(frame), time))
-    return recorder.finish()
+    shape, pose, landmarks = take.shape.astype(np.float64), take.pose.copy(), take.landmarks.copy()
+    for run in _unbroken(take.found):
+        times = take.times[run]
+        for rows, cutoffs in SHAPE_PARTS.values():
+            flat = shape[run][:, rows].reshape(len(run), -1)
+            shape[np.ix_(run, rows)] = smooth_all(times, flat, cutoffs.softer(amount), 3).reshape(len(run), -1, 3)
+        pose[run, 1:4] = smooth_all(times, pose[run, 1:4], ROTATION.softer(amount))
+        # As `ResultSmoother`: the logarithm of the scale, and positions in eye distances.
+        unit = pose[run[0], 0]
+        place = np.column_stack([np.log(pose[run, 0]), pose[run, 4:6] / unit])
+        place = smooth_all(times, place, PLACE.softer(amount))
+        pose[run, 0], pose[run, 4:6] = np.exp(place[:, 0]), place[:, 1:] * unit
+    landmarks[take.found] = project(shape[take.found], pose[take.found])
+    changed: dict[str, Any] = {"shape": shape.astype(np.float32), "pose": pose, "landmarks": landmarks}
+    for name, cutoffs, dims in _OTHERS:
+        seen = getattr(take, name).reshape(len(take), -1).astype(np.float64)
+        for run in _unbroken(take.found & np.isfinite(seen).all(axis=1)):
+            seen[run] = smooth_all(take.times[run], seen[run], cutoffs.softer(amount), dims)
+        changed[name] = seen.astype(np.float32).reshape(getattr(take, name).shape)
+    return replace(take, **changed, info={**take.info, "smoothed": "one-euro"})
+
+
+def _unbroken(known: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
+    """Yield the rows of each run of known frames."""
+    rows = np.flatnonzero(known)
+    yield from (run for run in np.split(rows, np.flatnonzero(np.diff(rows) > 1) + 1) if len(run))
 
 
 def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) -> Take:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..errors import SourceError
 from ..face.names import N_COEFFICIENTS
-from ..face.rotation import euler_to_matrix, matrix_to_euler, mix_rotations
+from ..face.rotation import euler_to_matrices, euler_to_matrix, matrix_to_euler, mix_rotations
 from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .neutral import Neutral
@@ -63,7 +63,7 @@ def project(shape: FloatArray, pose: FloatArray) -> FloatArray:
     """Project shapes (N, 66, 3) without the pose, in outer-eye distances, by poses (N, 6) to pixels (N, 66, 2)."""
     if not len(pose):
         return np.empty((0, shape.shape[1], 2))
-    turns = np.array([euler_to_matrix(*angles)[:2] for angles in pose[:, 1:4]])
+    turns = euler_to_matrices(pose[:, 1:4])[:, :2]
     return np.asarray(pose[:, :1, None] * (shape @ turns.transpose(0, 2, 1)) + pose[:, None, 4:6])
 
 

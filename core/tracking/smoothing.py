@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, MOUTH_INNER_LOWER, MOUTH_INNER_UPPER, MOUTH_OUTER, NOSE
 from ..face.rotation import euler_to_matrix
+from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from .result import TrackResult
 
@@ -101,7 +102,32 @@ class OneEuroFilter:
         return self._value
 
 
-def _share(cutoff: FloatArray | float, step: float) -> FloatArray | float:
+def smooth_all(times: FloatArray, seen: FloatArray, cutoffs: Cutoffs, dims: int = 1) -> FloatArray:
+    """Smooth vectors (N, D) at increasing `times` (N,) as a new `OneEuroFilter` does one after the other."""
+    steps = np.diff(times)[:, None]
+    towards, moved = np.asarray(_share(cutoffs.speed, steps)), np.zeros_like(seen)
+    moved[1:] = towards * np.diff(seen, axis=0) / steps
+    speed = np.abs(_recursion(towards, moved)[1:])
+    if dims:
+        speed = np.sqrt(np.square(speed).mean(axis=1, keepdims=True) * dims)
+    share, values = np.asarray(_share(cutoffs.at_rest + cutoffs.by_speed * speed, steps)), seen.copy()
+    values[1:] *= share
+    return _recursion(share, values)
+
+
+def _recursion(shares: FloatArray, added: FloatArray) -> FloatArray:
+    """Solve ``x_i = (1 - shares_i) x_(i-1) + added_i`` from ``x_0 = added_0``: (N, D) for shares (N - 1, D or 1)."""
+    if len(added) < 2:
+        return added
+    if shares.shape[1] > 1:
+        columns = zip(shares.T[..., None], added.T[..., None], strict=True)
+        return np.column_stack([_recursion(*column) for column in columns])
+    bands = np.ones((2, len(added)))
+    bands[1, :-1] = shares[:, 0] - 1.0
+    return np.asarray(linalg.solve_banded((1, 0), bands, added))
+
+
+def _share(cutoff: FloatArray | float, step: FloatArray | float) -> FloatArray | float:
     return 1.0 / (1.0 + 1.0 / (2.0 * pi * cutoff * step))
 
 

@@ -10,8 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS
+from facemime.core.face.names import N_COEFFICIENTS
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.takes.smooth import smooth_take
+from facemime.core.takes.take import FIELDS
+from facemime.core.takes.timing import mark_lost
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.smoothing import SHAPE_PARTS, Cutoffs, OneEuroFilter, ResultSmoother
 from facemime.core.tracking.tracker import FaceTracker
@@ -131,6 +134,21 @@ def test_an_unknown_gaze_stays_unknown_and_the_next_one_passes(face):
     run = smoothed([result_of(face), shut, looking])
     assert np.isnan(run[1].gaze).all()
     np.testing.assert_array_equal(run[2].gaze, looking.gaze)
+
+
+@pytest.mark.parametrize("amount", [0.3, 1.0, 4.0])
+def test_a_take_is_smoothed_as_its_frames_are_live(amount):
+    rng, take = np.random.default_rng(5), performance()
+    lost, unknown = rng.random(len(take)) < 0.1, rng.random(len(take)) < 0.2
+    take = mark_lost(replace(take, times=take.times + rng.uniform(0.0, 0.01, len(take))), lost)
+    take.pose[take.found] += rng.normal(scale=0.02, size=(take.found.sum(), 6))
+    take.gaze[unknown], take.actions[unknown, 3] = np.nan, np.nan
+    take.coefficients[take.found] = rng.random((take.found.sum(), N_COEFFICIENTS))
+    smoother, whole = ResultSmoother(amount), smooth_take(take, amount)
+    for frame, time in enumerate(take.times):
+        live, of_take = smoother.smooth(take.result(frame), time), whole.result(frame)
+        for name in FIELDS[1:]:
+            np.testing.assert_allclose(getattr(of_take, name), getattr(live, name), rtol=1e-6, atol=1e-6, err_msg=name)
 
 
 def test_a_take_is_smoothed_once_and_keeps_its_losses():
