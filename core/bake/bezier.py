@@ -72,22 +72,25 @@ class Segments(NamedTuple):
 
     Attributes
     ----------
-    inner : bool
-        Whether it is an inner frame.
+    outer : bool
+        Whether it is not an inner frame.
     rise, start, end : float32
         Hermite's cubics there.
-    first : float32
-        Factors of the inner frames whose sum is the slope at the start.
-    last : float32
-        The same for that at the end, if that at the start is given.
+    first : float64
+        Factors of the values, from the value at the start, whose sum is the slope at the start.
+    last : float64
+        The same for the slope at the end, if that at the start is 0.
+    follows : (L,) float64
+        Factor of the slope at the start in that at the end.
     """
 
-    inner: NDArray[np.bool_]
+    outer: NDArray[np.bool_]
     rise: NDArray[np.float32]
     start: NDArray[np.float32]
     end: NDArray[np.float32]
-    first: NDArray[np.float32]
-    last: NDArray[np.float32]
+    first: FloatArray
+    last: FloatArray
+    follows: FloatArray
 
 
 @cache
@@ -106,4 +109,9 @@ def segments(longest: int) -> Segments:
     first = (bb[:, None] * start - ab[:, None] * end) / determinant[:, None]
     first[single] = start[single] / (aa + bb)[single, None]
     last = np.divide(end, bb[:, None], out=np.zeros_like(end), where=bb[:, None] > 0.0)
-    return Segments(inner, *(part.astype(np.float32) for part in (rise, start, end, first, last)))
+    follows = -(last * start).sum(axis=1)
+    # What the slopes have to explain is the values without the rise to the last one; a single step is straight.
+    for factors in (first, last):
+        factors[lengths[:, 0] - 1, lengths[:, 0]] = np.where(lengths[:, 0] == 1, 1.0, -(factors * rise).sum(axis=1))
+    rise, start, end = (part.astype(np.float32) for part in (rise, start, end))
+    return Segments(~inner, rise, start, end, first, last, follows)

@@ -4,6 +4,7 @@ that they cause together (method.md, section 9.5).
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
 from ..numeric.linalg import multiply
-from .bezier import BezierCurve, segments
+from .bezier import BezierCurve, Segments, segments
 
 _SHARE = 0.6
 """Error of a single curve at first, as a share of that of all together. At .5 there are 2 to 4 % more keyframes; at .7
@@ -41,8 +42,12 @@ _SAMPLE = 600
 """Number of vertices that are measured before the last fits."""
 _FLAT = 1e-6
 """Range of a curve, and step within a plateau, that counts as none."""
+_SAME = 1e-9
+"""Difference of slopes, per frame, that is due to rounding."""
 _AT_ONCE, _SPANS_AT_ONCE = 64, 256
 """Numbers of frames and of spans processed at a time."""
+_CHECKED = 64_000
+"""Frames of segments, of all lengths, that are checked at a time, which fit into the CPU's second-level cache."""
 
 
 def fit_key_curves(
@@ -145,23 +150,31 @@ def stops_of(values: FloatArray, prominence: float) -> NDArray[np.intp]:
     plateaus, both ends of them: ascending indices.
     """
     turns, low, high, rising = [0], 0, 0, 0
-    for i, value in enumerate(values.tolist()):
-        if rising >= 0 and value > values[high]:
+    # Only where the direction changes, and at the end, is there anything to decide.
+    steps = np.sign(np.diff(values))
+    moving = np.flatnonzero(steps)
+    ends = moving[np.append(np.diff(steps[moving]) != 0.0, True)[: len(moving)]] + 1
+    given = values.tolist()
+    for i in ends.tolist():
+        value = given[i]
+        if rising >= 0 and value > given[high]:
             high = i
-        if rising <= 0 and value < values[low]:
+        if rising <= 0 and value < given[low]:
             low = i
-        if rising >= 0 and values[high] - value > prominence:
+        if rising >= 0 and given[high] - value > prominence:
             turns.append(high)
             rising, low = -1, i
-        elif rising <= 0 and value - values[low] > prominence:
+        elif rising <= 0 and value - given[low] > prominence:
             turns.append(low)
             rising, high = 1, i
     if rising:
         turns.append(high if rising > 0 else low)
-    found = {0, len(values) - 1, *turns}
+    found = {0, len(given) - 1}
     for turn in turns:
-        flat = np.abs(values[turn:] - values[turn]) > _FLAT
-        found.add(turn + (int(flat.argmax()) if flat.any() else len(flat)) - 1)
+        last = turn
+        while last + 1 < len(given) and abs(given[last + 1] - given[turn]) <= _FLAT:
+            last += 1
+        found |= {turn, last}
     return np.array(sorted(found), dtype=np.intp)
 
 
@@ -204,9 +217,8 @@ class _Fit:
 
         Returns the curves of which they are a part.
         """
-        allowed, rows = np.ascontiguousarray(tolerances.T), np.flatnonzero(chosen & self._moving)
-        for n in range(0, len(rows), _SPANS_AT_ONCE):
-            self._fit(allowed, rows[n : n + _SPANS_AT_ONCE])
+        rows = np.flatnonzero(chosen & self._moving)
+        self._fit(np.ascontiguousarray(tolerances.T), rows)
         return np.asarray(np.unique(self.spans[rows, 0]), dtype=np.intp)
 
     def curves(self) -> list[BezierCurve]:
@@ -222,26 +234,32 @@ class _Fit:
         return BezierCurve(np.array(rows, dtype=np.intp), self._values[k, rows], sides)
 
     def _fit(self, allowed: FloatArray, rows: NDArray[np.intp]) -> None:
-        """Fit spans (R,), all at once, segment by segment."""
+        """Fit spans (R,), many at once, segment by segment."""
         curve, at, stop = self.spans[rows].T.copy()
-        before = np.zeros(len(rows))
+        before, earlier = np.zeros(len(rows)), []
         for i, row in enumerate(rows.tolist()):
-            if kept := self._kept(allowed, row):
+            kept, settled = self._kept(allowed, row)
+            earlier.append(_Earlier(self._rows[row], self._slopes[row], settled))
+            if kept:
                 at[i], before[i] = self._rows[row][kept - 1], self._slopes[row][2 * kept - 1]
             self._rows[row], self._slopes[row] = self._rows[row][:kept], self._slopes[row][: 2 * kept]
-        live = np.flatnonzero(at < stop)
-        while len(live):
+        # The longest first, so that no span is left over to be fitted alone.
+        waiting = np.argsort(at - stop, kind="stable")
+        while len(live := waiting[at[waiting] < stop[waiting]][:_SPANS_AT_ONCE]):
             found = self._longest(allowed, _Starts(curve, at, stop, before).chosen(live))
             at[live] += found.lengths
             before[live] = found.end
-            steps = zip(rows[live].tolist(), at[live].tolist(), found.start.tolist(), found.end.tolist(), strict=True)
-            for row, frame, first, last in steps:
-                self._rows[row].append(frame)
-                self._slopes[row] += [first, last]
-            live = live[at[live] < stop[live]]
+            steps = zip(live.tolist(), at[live].tolist(), found.start.tolist(), found.end.tolist(), strict=True)
+            for i, frame, first, last in steps:
+                rest = earlier[i].rest(frame, last)
+                self._rows[rows[i]] += [frame, *earlier[i].rows[rest:]]
+                self._slopes[rows[i]] += [first, last, *earlier[i].slopes[2 * rest :]]
+                if rest < len(earlier[i].rows):
+                    at[i] = stop[i]
 
-    def _kept(self, allowed: FloatArray, row: int) -> int:
-        """Return how many segments at the start of a span stay as they are: those that end before a tolerance is new.
+    def _kept(self, allowed: FloatArray, row: int) -> tuple[int, int]:
+        """Return how many segments at the start of a span stay as they are, which are those that end before a tolerance
+        is new, and the last frame with a new one.
 
         With smaller tolerances behind its end, a segment would not become longer.
         """
@@ -251,10 +269,10 @@ class _Fit:
         used[:] = new
         if not self._fitted[row]:
             self._fitted[row] = True
-            return 0
+            return 0, last
         if not len(changed):
-            return len(self._rows[row])
-        return int(np.searchsorted(self._rows[row], first + 1 + changed[0], side="right"))
+            return len(self._rows[row]), first
+        return int(np.searchsorted(self._rows[row], first + 1 + changed[0], side="right")), first + 1 + int(changed[-1])
 
     def _longest(self, allowed: FloatArray, starts: _Starts) -> _Longest:
         """Find the longest segments."""
@@ -273,43 +291,60 @@ class _Fit:
         reach = stop - at
         table = segments(min(longest, int(reach.max())))
         columns = np.minimum(at[:, None] + np.arange(table.rise.shape[1]), self._values.shape[1] - 1)
-        # Relative to the start, single precision is enough, and takes half of the time.
-        own, origin = self._values[curve[:, None], columns], self._values[curve, at, None]
-        values, limits = (own - origin).astype(np.float32), allowed[curve[:, None], columns].astype(np.float32)
-        low, high = ((limit[curve, None] - origin).astype(np.float32) for limit in (self._low, self._high))
-        before, counts = before.astype(np.float32), np.arange(1, len(table.rise) + 1)
-        lengths, last = counts.astype(np.float32), values[:, 1:]
-        # What the slopes have to explain at the inner frames of a segment of each length, (R, L, L + 1).
-        left = values[:, None] - table.rise * last[..., None]
-        left *= table.inner
-        possible = counts <= reach[:, None]
-
-        def judged(start: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
-            """Slopes (R, L) at the ends after those at the starts, and whether the segments are within tolerance."""
-            rest = left - table.start * start[..., None]
-            end = np.einsum("rli,li->rl", rest, table.last)
-            end = np.where(counts == 1, last, end)
-            end = np.clip(end, 3.0 * (last - high) / lengths, 3.0 * (last - low) / lengths)
-            rest -= table.end * end[..., None]
-            return end, possible & (np.abs(rest) <= limits[:, None]).all(axis=2)
-
-        lowest, highest = 3.0 * low / lengths, 3.0 * high / lengths
-        free = np.einsum("rli,li->rl", left, table.first)
-        free = np.clip(np.where(counts == 1, last, free), lowest, highest)
-        smooth = np.clip(np.broadcast_to(before[:, None], free.shape), lowest, highest)
-        rows = np.arange(len(curve))
-        chosen = _Longest(np.ones(len(curve), dtype=np.intp), np.zeros(len(curve)), np.zeros(len(curve)))
-        for start, bonus in ((free, 1.0), (smooth, 1.0 / _ALIGNED)):
-            end, fits = judged(start)
-            found = np.maximum(np.where(fits, counts, 0).max(axis=1), 1)
-            better = found * bonus >= chosen.lengths
-            for out, part in zip(chosen, (found, start[rows, found - 1], end[rows, found - 1]), strict=True):
-                out[better] = part[better]
+        values = self._values[curve[:, None], columns] - self._values[curve, at, None]
+        low, high = (limit[curve, None] - self._values[curve, at, None] for limit in (self._low, self._high))
+        counts, last = np.arange(1, len(table.rise) + 1), values[:, 1:]
+        # Slopes at the starts, free or as that of the segment before, and at the ends after them, (2, R, L).
+        free = multiply(values, table.first.T)
+        start = np.stack([free, np.broadcast_to(before[:, None], free.shape)])
+        np.clip(start, 3.0 * low / counts, 3.0 * high / counts, out=start)
+        end = multiply(values, table.last.T) + table.follows * start
+        np.clip(end, 3.0 * (last - high) / counts, 3.0 * (last - low) / counts, out=end)
+        limits = allowed[curve[:, None], columns]
+        fits = _within_limits(table, values, limits, start, end) & (counts <= reach[:, None])
+        alone, smooth = np.maximum(np.where(fits, counts, 0).max(axis=2), 1)
+        side, rows = (smooth / _ALIGNED >= alone).astype(np.intp), np.arange(len(curve))
+        lengths = np.where(side, smooth, alone)
+        of = lengths - 1
+        chosen = _Longest(lengths, start[side, rows, of], end[side, rows, of])
         # Segments that end at a stop are level there, where they stay within tolerance.
-        of = chosen.lengths - 1
-        off = np.abs(left[rows, of] - table.start[of] * chosen.start[:, None])
-        chosen.end[(chosen.lengths == reach) & (chosen.lengths > 1) & (off <= limits).all(axis=1)] = 0.0
+        level = values - table.rise[of] * last[rows, of, None] - table.start[of] * chosen.start[:, None]
+        fits_level = ((np.abs(level) <= limits) | table.outer[of]).all(axis=1)
+        chosen.end[(lengths == reach) & (lengths > 1) & fits_level] = 0.0
         return chosen
+
+
+def _within_limits(
+    table: Segments, values: FloatArray, limits: FloatArray, start: FloatArray, end: FloatArray
+) -> NDArray[np.bool_]:
+    """Return whether segments of each length with some slopes (2, R, L) are within limits (R, L + 1) of values."""
+    fits, (rows, frames) = np.empty(start.shape, dtype=np.bool_), values.shape
+    # Relative to the start, single precision is enough, and takes half of the time.
+    values, limits, start, end = (part.astype(np.float32) for part in (values, limits, start, end))
+    step = max(1, _CHECKED // frames**2)
+    for n in range(0, rows, step):
+        own = slice(n, n + step)
+        left = values[own, None] - table.rise * values[own, 1:, None]
+        for side in range(2):
+            off = left - table.start * start[side, own, :, None]
+            off -= table.end * end[side, own, :, None]
+            np.abs(off, out=off)
+            fits[side, own] = ((off <= limits[own, None]) | table.outer).all(axis=2)
+    return fits
+
+
+class _Earlier(NamedTuple):
+    """The segments of a span, as in `_Fit`, before tolerances changed, and the last frame in which they did."""
+
+    rows: list[int]
+    slopes: list[float]
+    settled: int
+
+    def rest(self, frame: int, slope: float) -> int:
+        """Return from where on the segments stay as they are if new ones reach a frame with a slope."""
+        at = bisect_left(self.rows, frame)
+        met = at < len(self.rows) and self.rows[at] == frame and frame >= self.settled
+        return at + 1 if met and abs(self.slopes[2 * at + 1] - slope) < _SAME else len(self.rows)
 
 
 class _Starts(NamedTuple):

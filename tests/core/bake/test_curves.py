@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.curves import fit_curves, fit_key_curves, stops_of
+from facemime.core.bake.curves import _Fit, fit_curves, fit_key_curves, stops_of
 from facemime.core.heads.built_in import load_head
 
 
@@ -93,3 +93,20 @@ def test_a_smooth_performance_has_many_times_fewer_keyframes_than_frames(toleran
     values = 0.5 + 0.5 * np.sin(times[:, None] / (8.0 + np.arange(52)) + np.arange(52))
     curves = fit_key_curves(values, head.units, tolerance * 0.09, np.zeros(52), np.ones(52))
     assert sum(len(curve.rows) for curve in curves) < 52 * 300 / 6
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 10_000), st.integers(1, 4))
+def test_what_is_fitted_again_where_tolerances_shrink_is_the_same_as_from_the_start(seed, rounds):
+    rng, values = np.random.default_rng(seed), _wandering(seed, 300, 3)
+    stops = [stops_of(column, 0.2) for column in values.T]
+    tolerances = np.full_like(values, 0.03)
+    again = _Fit(values, stops, np.zeros(3), np.ones(3))
+    again.renew(tolerances, np.ones(len(again.spans), dtype=bool))
+    for _ in range(rounds):
+        shrunk = rng.random(values.shape) < 0.01
+        tolerances = np.where(shrunk, 0.3 * tolerances, tolerances)
+        again.renew(tolerances, again.spans_with(shrunk))
+    for one, other in zip(again.curves(), fit_curves(values, tolerances, stops, np.zeros(3), np.ones(3)), strict=True):
+        np.testing.assert_array_equal(one.rows, other.rows)
+        np.testing.assert_allclose(one.slopes, other.slopes, atol=1e-7)
