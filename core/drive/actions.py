@@ -92,28 +92,29 @@ class ActionDriver:
         self._begin, self._full = np.array(ranges).T
 
     def above_rest(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the activations above rest (15,), for the actions and the shape of a `TrackResult`; NaN if unknown.
+        """Return the activations above rest (..., 15), for actions and shapes as of a `TrackResult`; NaN if unknown.
 
         They are ``u = a - a_0``, where a_0 is the activation at rest. For the brows, which have landmarks, too, they
         are the mean of this and the evidence of the landmarks.
         """
         above = actions - self._rest
         moved = _brow_heights(shape) - self._heights
-        above[_BROW_ACTIONS] = 0.5 * (above[_BROW_ACTIONS] + moved)
+        above[..., _BROW_ACTIONS] = 0.5 * (above[..., _BROW_ACTIONS] + moved)
         return np.asarray(above)
 
     def activations(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
-        """Return the activations (15,) of the avatar, for the actions and the shape of a `TrackResult`; 0 if unknown.
+        """Return the activations (..., 15) of the avatar, for actions and shapes as of a `TrackResult`; 0 if unknown.
 
         Equation 4.6: ``min(max(u - f, 0) / (c - f), 1)``, at most 0.6 for rolled lips, and times the strength of the
         region. u is `above_rest`, f is where an action begins to be shown, and c where it is shown in full.
         """
-        if not np.isfinite(actions).all():
-            return np.zeros(N_ACTIONS)
         shown = (self.above_rest(actions, shape) - self._begin) / (self._full - self._begin)
-        return np.asarray(np.clip(shown, 0.0, _MAX_ACTIVATION) * self.gains)
+        shown = np.clip(shown, 0.0, _MAX_ACTIVATION) * self.gains
+        shown[~np.isfinite(actions).all(axis=-1)] = 0.0
+        return np.asarray(shown)
 
 
 def _brow_heights(shape: FloatArray) -> FloatArray:
-    """Positions of the landmarks of a shape (66, 3) that are evidence for `_BROWS`, up to a constant, (4,)."""
-    return np.array([float(shape[rows, 1].mean()) / full for rows, full in _BROWS.values()])
+    """Positions of the landmarks of shapes (..., 66, 3) that are evidence for `_BROWS`, up to a constant, (..., 4)."""
+    heights = shape[..., 1]
+    return np.array([heights.take(rows, axis=-1).mean(axis=-1) / full for rows, full in _BROWS.values()]).T

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,6 @@ from ..deform.head_deformer import INFORMED, head_deformer
 from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
-from ..face.names import N_ACTIONS
 from ..face.rotation import euler_to_matrix, limit_rotation, limit_vector
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
@@ -29,6 +29,8 @@ from .retarget import retargeter_for
 from .teaching import Expressions, TaughtControls, TaughtVertices, edited_vertices
 
 _BY_DEFAULT = DriveSettings()
+_RIGID = ("rotation", "translation", "jaw", "gaze")
+"""What a motion has of `_Pose`."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,17 @@ class HeadFrame:
     def tongue(self) -> float:
         """How far the tongue is out, 0 to about 1."""
         return float(self.actions[TONGUE])
+
+
+class _Pose(NamedTuple):
+    """What a frame has beside its vertices, as in `HeadFrame`."""
+
+    rotation: FloatArray
+    translation: FloatArray
+    jaw: FloatArray
+    gaze: FloatArray
+    taught: FloatArray
+    controls: Mapping[str, float]
 
 
 class HeadDriver:
@@ -158,34 +171,62 @@ class HeadDriver:
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
-        result, posing = self._mirrored(result), self.options.posing
+        result = self._mirrored(result)
         displacements = self.retargeter.displacements(result.shape)
-        # Pose within the user's limits (section 4.5).
-        turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
-        rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
-        actions = np.zeros(N_ACTIONS)
-        if not self.options.only_landmarks:
-            actions = self.actions.activations(result.actions, result.shape)
-        expression = self._expressions.of(result)
-        taught = self.taught.weights(expression)
-        gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
-        jaw = self._jaw.rotation(displacements)
-        eyes = np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze])
-        skin = self._skin(displacements, actions)
-        self.taught.move_skin(skin, taught)
-        vertices = self._posed(skin, jaw, eyes)
-        self.taught.move_others(vertices, taught)
+        actions = self._shown_actions(result.actions, result.shape)
+        pose = self._pose(result, displacements)
         return HeadFrame(
-            vertices=vertices,
-            rotation=rotation,
-            translation=self._unit
-            * limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit),
-            jaw=jaw,
-            gaze=eyes,
+            vertices=self._vertices(displacements, actions, pose),
             actions=actions,
             displacements=displacements,
             keys=np.empty(0),
-            taught=taught,
+            **pose._asdict(),
+        )
+
+    def motion(self, results: Sequence[TrackResult], times: FloatArray) -> HeadMotion:
+        """Compute the motion for tracking results with a face, as `frame` does one after the other, at times (N,)."""
+        results = [self._mirrored(result) for result in results]
+        shapes = np.array([result.shape for result in results])
+        displacements = self.retargeter.displacements(shapes)
+        actions = self._shown_actions(np.array([result.actions for result in results]), shapes)
+        poses = [self._pose(result, moved) for result, moved in zip(results, displacements, strict=True)]
+        rest = self.rest
+        vertices = np.empty((len(results), *rest.shape), dtype=np.float32)
+        for row, moved, shown, pose in zip(vertices, displacements, actions, poses, strict=True):
+            np.subtract(self._vertices(moved, shown, pose), rest, out=row)
+        controls = {name: np.array([pose.controls[name] for pose in poses]) for name in self._controls.names}
+        rigid = {name: np.array([getattr(pose, name) for pose in poses]) for name in _RIGID}
+        return HeadMotion(times, vertices, actions=actions, controls=controls, **rigid)
+
+    def _vertices(self, displacements: FloatArray, actions: FloatArray, pose: _Pose) -> NDArray[np.float32]:
+        """Compute all vertices (A, 3) for displacements (66, 3) of landmarks and shown actions (15,)."""
+        skin = self._skin(displacements, actions)
+        self.taught.move_skin(skin, pose.taught)
+        vertices = self._posed(skin, pose.jaw, pose.gaze)
+        self.taught.move_others(vertices, pose.taught)
+        return vertices
+
+    def _shown_actions(self, actions: FloatArray, shapes: FloatArray) -> FloatArray:
+        """Activations (..., 15) that are shown, for those of tracking results and their shapes."""
+        if self.options.only_landmarks:
+            return np.zeros_like(actions)
+        return self.actions.activations(actions, shapes)
+
+    def _pose(self, result: TrackResult, displacements: FloatArray) -> _Pose:
+        """Compute what moves rigidly, and the corrections, for a mirrored result and displacements of landmarks."""
+        posing = self.options.posing
+        # Pose within the user's limits (section 4.5).
+        turned = euler_to_matrix(*result.pose[1:4]) @ self.neutral.rotation.T
+        rotation = limit_rotation(turned, posing.rotation_strength, posing.rotation_limit)
+        expression = self._expressions.of(result)
+        gaze = self.eyes.rotations(result.gaze, result.vergence, rotation)
+        moved = limit_vector(self._translation(result.pose), posing.location_strength, posing.location_limit)
+        return _Pose(
+            rotation=rotation,
+            translation=self._unit * moved,
+            jaw=self._jaw.rotation(displacements),
+            gaze=np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze]),
+            taught=self.taught.weights(expression),
             controls=self._controls.changes(expression),
         )
 
@@ -292,23 +333,7 @@ def drive_take(driver: HeadDriver, take: Take) -> HeadMotion:
     found = np.flatnonzero(take.found)
     if len(found) == 0:
         raise SourceError("No face was found in any frame. Use a video with one face, well lit and towards the camera.")
-    rest = driver.rest
-    vertices = np.empty((len(found), *rest.shape), dtype=np.float32)
-    frames = []
-    for row, index in enumerate(found):
-        frame = driver.frame(take.result(int(index)))
-        np.subtract(frame.vertices, rest, out=vertices[row])
-        frames.append(frame)
-    return HeadMotion(
-        times=take.times[found],
-        vertices=vertices,
-        rotation=np.array([frame.rotation for frame in frames]),
-        translation=np.array([frame.translation for frame in frames]),
-        jaw=np.array([frame.jaw for frame in frames]),
-        gaze=np.array([frame.gaze for frame in frames]),
-        actions=np.array([frame.actions for frame in frames]),
-        controls={name: np.array([frame.controls[name] for frame in frames]) for name in frames[0].controls},
-    )
+    return driver.motion([take.result(int(index)) for index in found], take.times[found])
 
 
 def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:

@@ -34,6 +34,10 @@ _MIN_EYE = 8
 """Smallest number of vertices of an eye that turns."""
 
 
+_POSITIVE, _NEGATIVE = np.array([7, 2, 3]), np.array([5, 6, 1])
+"""Where x, y and z are in [r]x, row by row, and where their negatives are."""
+
+
 class Glue:
     """Moves points (N, 3) with the skin (U, 3) below them, as rigidly as a lash turns with its lid.
 
@@ -101,12 +105,12 @@ class Glue:
         return np.column_stack([self._middle, self._places]).astype(np.float32), roots
 
     def move(self, displacements: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the moved points (N, 3), for displacements (U, 3) of the skin in its frame and unit."""
-        near = displacements.take(self._rows, axis=0).reshape(len(self._rows), -1)
-        moved = np.einsum("nak,nk->na", self._moments, near)
-        turns = _rotations(moved[:, 3:]).take(self._places, axis=0)
-        shift = moved[:, :3].take(self._places, axis=0)
-        return np.asarray(self._middle + shift + np.einsum("nab,nb->na", turns, self._arms))
+        """Return the moved points (..., N, 3), for displacements (..., U, 3) of the skin in its frame and unit."""
+        near = displacements.take(self._rows, axis=-2)
+        moved = np.einsum("nak,...nk->...na", self._moments, near.reshape(*near.shape[:-2], -1))
+        turns = _rotations(moved[..., 3:]).take(self._places, axis=-3)
+        shift = moved[..., :3].take(self._places, axis=-2)
+        return np.asarray(self._middle + shift + np.einsum("...nab,nb->...na", turns, self._arms))
 
 
 def _neighbours(
@@ -135,13 +139,17 @@ def _cross(arms: FloatArray) -> FloatArray:
 
 def _rotations(turns: NDArray[np.float32]) -> NDArray[np.float32]:
     """Matrices (R, 3, 3) of the rotation vectors `turns`, whose length is the sine of the angle (Rodrigues)."""
-    length = np.linalg.norm(turns, axis=1)[:, None, None]
+    length = np.sqrt(np.einsum("nc,nc->n", turns, turns))[:, None]
     sine = np.minimum(length, np.float32(1.0))
-    axis = turns / np.maximum(length[..., 0], np.float32(1e-12))
+    axis = turns / np.maximum(length, np.float32(1e-12))
     cosine = np.sqrt(1.0 - np.square(sine))
-    # R = a a^T + cos (1 - a a^T) + sin [a]x.
-    along = axis[:, :, None] * axis[:, None]
-    return np.asarray(along + cosine * (np.eye(3, dtype=np.float32) - along) + sine * _cross(axis), dtype=np.float32)
+    # R = (1 - cos) a a^T + cos 1 + sin [a]x.
+    rotations = ((1.0 - cosine) * axis)[:, :, None] * axis[:, None]
+    entries, axis = rotations.reshape(len(turns), 9), sine * axis
+    entries[:, ::4] += cosine
+    entries[:, _POSITIVE] += axis
+    entries[:, _NEGATIVE] -= axis
+    return np.asarray(rotations, dtype=np.float32)
 
 
 class PartDriver:
@@ -167,6 +175,7 @@ class PartDriver:
         self._hinge = np.asarray(rig.jaw_pivot, dtype=np.float32)
         self._riding = np.flatnonzero(kinds == Part.ON_SKIN)
         self._glue = self._glued(rig, deformed) if len(self._riding) else None
+        self._at, self._from, self._riders = (_span(rows) for rows in (self._skin_rows, self._copies, self._riding))
 
     @property
     def riding(self) -> tuple[NDArray[np.intp], Glue | None]:
@@ -195,14 +204,14 @@ class PartDriver:
         about their centres. If `planar`, vertices that ride on the skin keep their depth.
         """
         out = self.rest.copy()
-        out[self._skin_rows] = skin[self._copies]
+        out[self._at] = skin[self._from]
         for side, rows, centre in self._eyes:
             out[rows] = _turned(self.rest[rows], centre, gaze[side])
         out[self._teeth] = _turned(self.rest[self._teeth], self._hinge, jaw)
         if self._glue is not None:
-            out[self._riding] = self._glue.move(skin - self._skin_rest)
+            out[self._riders] = self._glue.move(skin - self._skin_rest)
         if planar:
-            out[self._riding, 2] = self.rest[self._riding, 2]
+            out[self._riders, 2] = self.rest[self._riders, 2]
         return out
 
     def _glued(self, rig: HeadRig, deformed: HeadRig) -> Glue:
@@ -240,6 +249,12 @@ class PartDriver:
                 continue
             roots[within] = _nearest_along(graph, within, near)
         return roots, at_rim
+
+
+def _span(rows: IntArray) -> IntArray | slice:
+    """Return rows that follow each other as a slice, through which arrays are copied faster."""
+    follow = len(rows) > 0 and bool((np.diff(rows) == 1).all())
+    return slice(int(rows[0]), int(rows[-1]) + 1) if follow else rows
 
 
 def _rims(skin: HeadRig) -> NDArray[np.intp]:

@@ -1,12 +1,17 @@
-"""The basis of a motion, and the selection of its most distinct frames."""
+"""The motion of a take, its basis, and the selection of its most distinct frames."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.bake.fit import fit_basis
-from facemime.core.drive.driver import HeadMotion, select_distinct_frames
+from facemime.core.drive.drive_settings import DriveSettings
+from facemime.core.drive.driver import HeadDriver, HeadMotion, drive_take, select_distinct_frames
 from facemime.core.face.names import N_ACTIONS
+from facemime.core.heads.rig import built_in_head
+from facemime.core.takes.neutral import calibrate
+from tests.helpers.takes import performance
 
 
 @settings(max_examples=30)
@@ -47,6 +52,21 @@ def test_the_error_reveals_too_few_modes():
     motion = np.random.default_rng(0).normal(size=(20, 30, 3)).astype(np.float32)
     basis = fit_basis(motion, 1e-6, max_modes=3)
     assert len(basis.modes) == 3 and basis.worst_error > 0.1
+
+
+@pytest.mark.parametrize("options", [DriveSettings(), DriveSettings(mirror=True), DriveSettings(only_landmarks=True)])
+def test_the_motion_of_a_take_is_that_of_its_frames_one_after_the_other(options):
+    take, rig = performance(), built_in_head()
+    take.actions[:] = np.random.default_rng(2).random(take.actions.shape)
+    take.actions[::5] = np.nan
+    drivers = [HeadDriver(rig, calibrate(take), options) for _ in range(2)]
+    motion, found = drive_take(drivers[0], take), np.flatnonzero(take.found)
+    assert len(motion.times) == len(found) < len(take)
+    for row, frame in enumerate(found):
+        shown = drivers[1].frame(take.result(int(frame)))
+        np.testing.assert_allclose(motion.vertices[row] + drivers[0].rest, shown.vertices, atol=1e-6)
+        for name in ("rotation", "translation", "jaw", "gaze", "actions"):
+            np.testing.assert_allclose(getattr(motion, name)[row], getattr(shown, name), atol=1e-9, err_msg=name)
 
 
 def test_the_most_distinct_frames_show_each_expression_once():
