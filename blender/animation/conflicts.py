@@ -91,17 +91,19 @@ def mute_disturbing(head: bpy.types.Object, motion: HeadMotion, *, drivers: bool
     members, silenced = members_of(head), []
     family = family_keys(members)
     for member in members:
-        if (keys := mesh_of(member.obj).shape_keys) is not None:
+        if (keys := mesh_of(member.obj).shape_keys) is None:
+            continue
+        driven = moved_paths(keys, family) if drivers else set()
+        if driven or others_playing(keys):  # usually nothing else moves a head
             paths = _moving_the_same(member, motion)
-            silenced += mute_others(keys, paths)
-            if drivers:
-                silenced += mute_paths(keys, paths & moved_paths(keys, family), curves=False)
+            silenced += [*mute_others(keys, paths), *mute_paths(keys, paths & driven, curves=False)]
     return silenced
 
 
 def _moving_the_same(member: Member, motion: HeadMotion) -> set[str]:
     """Return the data paths of the user's keys of a mesh that move vertices which a motion moves."""
-    moved = np.abs(motion.vertices[:, member.part]).max(axis=(0, 2), initial=0.0) > _STILL
+    own = motion.vertices[:, member.part]
+    moved = np.maximum(own.max(axis=0, initial=0.0), -own.min(axis=0, initial=0.0)).max(axis=1) > _STILL
     blocks = keys_of(member.obj).key_blocks
     offsets = {name: np.abs(key_offsets(blocks[name])[moved]) for name in key_names(member.obj)}
     return {value_path(name) for name, of in offsets.items() if of.max(initial=0.0) > _STILL}

@@ -129,9 +129,9 @@ class Jaw:
         if taken[1] <= 1e-6 * self._unit:
             return rotation
         # The factor that agrees best with both, each in units of its error (equation 4.5).
-        chin = float(np.linalg.norm(moved.mean(axis=0))) / self._unit
+        chin = float(np.linalg.norm(moved.sum(axis=0))) / (len(moved) * self._unit)
         trust = (chin / (_CHIN_ERROR + _CHIN_ERROR_SHARE * chin)) ** 2
-        lip = float(displacements[LOWER_LIPS].mean(axis=0) @ taken) / length
+        lip = float(displacements[LOWER_LIPS].sum(axis=0) @ taken) / (len(LOWER_LIPS) * length)
         once, squared = lip * length / (self._unit * _LIP_ALONE) ** 2, (length / (self._unit * _LIP_ALONE)) ** 2
         factor = (trust + once) / (trust + squared)
         return limit_rotation(rotation, min(max(factor, 1.0), _MAX_FACTOR), pi)
