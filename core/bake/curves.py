@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
-from ..numeric.linalg import multiply
+from ..numeric.linalg import multiply, squared_lengths
 from .bezier import BezierCurve, Segments, segments
 
 _SHARE = 0.6
@@ -124,8 +124,8 @@ def _distances(weights: FloatArray, offsets: NDArray[np.float32]) -> FloatArray:
     flat, found = offsets.reshape(len(offsets), -1), np.empty(len(weights))
     for n in range(0, len(weights), _AT_ONCE):
         moved = multiply(weights[n : n + _AT_ONCE].astype(np.float32), flat)
-        points = moved.reshape(len(moved), -1, 3)
-        found[n : n + _AT_ONCE] = np.einsum("nvc,nvc->nv", points, points).max(axis=1, initial=0.0)
+        squared = squared_lengths(moved.reshape(len(moved), -1, 3))
+        found[n : n + _AT_ONCE] = squared.max(axis=1, initial=0.0)
     return np.sqrt(found)
 
 

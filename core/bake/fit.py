@@ -6,7 +6,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_least_squares
-from ..numeric.linalg import multiply
+from ..numeric.linalg import multiply, squared_lengths
 
 _WORST = 8
 """Number of frames in which modes are added until those frames are within the tolerance."""
@@ -147,7 +146,8 @@ def _worst(flat: NDArray[np.float32], weights: NDArray[np.float32], modes: NDArr
 
 def _farthest(residual: NDArray[np.float32]) -> FloatArray:
     """Largest distance of a vertex in each frame of a residual (N, 3 V), (N,)."""
-    return np.asarray(np.sqrt(_squares(residual).max(axis=1, initial=0.0)))
+    squared = squared_lengths(residual.reshape(len(residual), -1, 3))
+    return np.asarray(np.sqrt(squared.max(axis=1, initial=0.0)))
 
 
 @dataclass(frozen=True)
@@ -267,7 +267,7 @@ def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tup
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     worst, total = 0.0, 0.0
     for part in _parts(len(motion)):
-        squared = _squares(multiply(weights[part], flat) - motion[part].reshape(-1, flat.shape[1]))
+        squared = squared_lengths(multiply(weights[part], flat).reshape(motion[part].shape) - motion[part])
         worst, total = max(worst, float(squared.max(initial=0.0))), total + float(squared.sum(dtype=np.float64))
     return float(np.sqrt(worst)), float(np.sqrt(total / max(motion.shape[0] * motion.shape[1], 1)))
 
@@ -280,18 +280,12 @@ def left_over(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tupl
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
     left, worst = np.empty(motion.shape, dtype=np.float32), 0.0
     for part in _parts(len(motion)):
-        own = left[part].reshape(-1, flat.shape[1])
-        np.subtract(motion[part].reshape(own.shape), multiply(weights[part], flat), out=own)
-        worst = max(worst, float(_squares(own).max(initial=0.0)))
+        own = left[part]
+        np.subtract(motion[part], multiply(weights[part], flat).reshape(own.shape), out=own)
+        worst = max(worst, float(squared_lengths(own).max(initial=0.0)))
     return left, float(np.sqrt(worst))
 
 
 def _parts(frames: int) -> list[slice]:
     """Divide frames into parts that are processed at a time."""
     return [slice(n, n + _FRAMES_AT_ONCE) for n in range(0, frames, _FRAMES_AT_ONCE)]
-
-
-def _squares(vectors: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
-    """Squared lengths (N, V) of vectors (N, 3 V)."""
-    points = vectors.reshape(len(vectors), -1, 3)
-    return np.asarray(np.einsum("nvc,nvc->nv", points, points))

@@ -53,13 +53,14 @@ def bounded_least_squares(
     equations.
     """
     gram, products = np.asarray(gram, dtype=np.float64), np.asarray(products, dtype=np.float64)
-    _largest(gram, products)
+    largest = _largest(gram)
+    tolerances = [_tolerance(largest, product) for product in products]
     if start is None and len(products) > _FEW:
         result = _approximate(gram, products, lower, upper)
     else:
         result = np.clip(np.zeros_like(products) if start is None else start, lower, upper)
-    for x, product in zip(result, products, strict=True):
-        _solve(gram, product, lower, upper, x, (x > lower) & (x < upper))
+    for x, product, tolerance in zip(result, products, tolerances, strict=True):
+        _solve(gram, product, lower, upper, x, (x > lower) & (x < upper), tolerance)
     return result
 
 
@@ -78,7 +79,8 @@ def bounded_minimum(
     """
     x = np.clip(start, lower, upper)
     paired = opposite if opposite is not None and (opposite >= 0).any() else None
-    _solve(gram, product, lower, upper, x, (x > lower) & (x < upper), paired)
+    tolerance = _tolerance(_largest(gram), product)
+    _solve(gram, product, lower, upper, x, (x > lower) & (x < upper), tolerance, paired)
     return x
 
 
@@ -99,12 +101,16 @@ def _approximate(gram: FloatArray, products: FloatArray, lower: FloatArray, uppe
     return np.asarray(np.clip(x * unit, lower, upper))
 
 
-def _largest(gram: FloatArray, products: FloatArray) -> float:
-    """Return the size of a system's largest numbers, which have to be finite."""
-    largest = float(np.abs(products).max(initial=0.0) + np.abs(gram).max(initial=0.0))
-    if not largest < np.inf:
+def _largest(numbers: FloatArray) -> float:
+    return float(np.abs(numbers).max(initial=0.0))
+
+
+def _tolerance(largest: float, product: FloatArray) -> float:
+    """Return the gradient at a bound that counts as none, by a system's largest numbers, which have to be finite."""
+    size = largest + _largest(product)
+    if not size < np.inf:
         raise ValueError("The system contains numbers that are not finite.")
-    return largest
+    return _TOLERANCE * max(size, 1e-300)
 
 
 def _solve(
@@ -114,10 +120,10 @@ def _solve(
     upper: FloatArray,
     x: FloatArray,
     free: NDArray[np.bool_],
+    tolerance: float,
     opposite: NDArray[np.intp] | None = None,
 ) -> None:
     """Move `x` to the minimum, in place; `free` marks the variables off their bounds."""
-    tolerance = _TOLERANCE * max(_largest(gram, product), 1e-300)
     if _pivot(gram, product, lower, upper, x, free, tolerance, opposite):
         return
     np.clip(x, lower, upper, out=x)
@@ -153,7 +159,7 @@ def _pivot(
     """
     fewest, tries = len(x) + 1, _TRIES
     while tries:
-        rows = np.flatnonzero(free)
+        rows = free.nonzero()[0]
         if len(rows):
             own = gram[rows]
             x[rows] = 0.0
