@@ -89,7 +89,8 @@ class ActionDriver:
         self.gains = np.full(N_ACTIONS, strength[2])
         self.gains[_UPPER], self.gains[_MIDDLE] = strength[0], strength[1]
         ranges = [_RANGES[name.removesuffix("Right").removesuffix("Left")] for name in ACTIONS]
-        self._begin, self._full = np.array(ranges).T
+        self._begin, full = np.array(ranges).T
+        self._range = full - self._begin
 
     def above_rest(self, actions: FloatArray, shape: FloatArray) -> FloatArray:
         """Return the activations above rest (..., 15), for actions and shapes as of a `TrackResult`; NaN if unknown.
@@ -108,7 +109,7 @@ class ActionDriver:
         Equation 4.6: ``min(max(u - f, 0) / (c - f), 1)``, at most 0.6 for rolled lips, and times the strength of the
         region. u is `above_rest`, f is where an action begins to be shown, and c where it is shown in full.
         """
-        shown = (self.above_rest(actions, shape) - self._begin) / (self._full - self._begin)
+        shown = (self.above_rest(actions, shape) - self._begin) / self._range
         shown = np.clip(shown, 0.0, _MAX_ACTIVATION) * self.gains
         shown[~np.isfinite(actions).all(axis=-1)] = 0.0
         return np.asarray(shown)

@@ -96,6 +96,10 @@ class Retargeter:
         self._lid_strength = (members * gains[:, None]).sum(axis=0)[UPPER_LIDS] / members.sum(axis=0)[UPPER_LIDS]
         if mode == "planar":
             self.scale[:, 2] = 0.0
+        # Lips belong to two regions, whose factors differ. The lower lip moves relative to the upper one by its own
+        # factor: a mouth that moves as a whole would otherwise open.
+        heights = self.scale[:, 1]
+        self._with_upper = [(upper, lower, heights[upper] - heights[lower]) for upper, lower in _FACING_LIPS]
 
     def displacements(self, shape: ArrayLike) -> FloatArray:
         """Return displacements (..., 66, 3) from rest, head frame and unit of the avatar, for a performer's shapes."""
@@ -103,10 +107,8 @@ class Retargeter:
         current = as_points(given.reshape(-1, 3), "shape", count=max(given.size // 3, N_LANDMARKS)).reshape(given.shape)
         away = current - self.neutral
         moved = np.asarray(self.scale * away)
-        # Lips belong to two regions, whose factors differ. The lower lip moves relative to the upper one by its own
-        # factor: a mouth that moves as a whole would otherwise open.
-        for upper, lower in _FACING_LIPS:
-            moved[..., lower, 1] += (self.scale[upper, 1] - self.scale[lower, 1]) * away[..., upper, 1]
+        for upper, lower, more in self._with_upper:
+            moved[..., lower, 1] += more * away[..., upper, 1]
         # Equation 4.3: each upper lid moves with its lower one, and closes by its share of the opening, across the eye
         # as it is tilted now. Shut lids overlap a little, or the eye would show between their rims.
         posed = self.head_landmarks + moved
