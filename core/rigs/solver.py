@@ -27,6 +27,9 @@ _NARROW = 0.1
 """Motion by a control, relative to the median of all, below which it is not made heavier still."""
 _DOUBT = 10.0
 """Factor of that weight for what is not linear, for each square of its doubt."""
+_NEARER = 0.98
+"""Square of the distance after a correction, relative to that before, below which it is taken: of two that are about
+as near, rounding would choose, and another one in the mirror."""
 _STEADY = 5e-4
 """Weight of the squares of their changes from frame to frame, in the same unit."""
 
@@ -91,7 +94,7 @@ class RigSolver:
             moved = evaluate(self.map.values(x))
             features = self._features(moved)
             off = float(np.square(features - wanted).sum())
-            if off < nearest:
+            if off < _NEARER * nearest:
                 nearest, found, shown = off, x, moved
             shifted = wanted + multiply(self._rows.T, x) - features
         self._last = found
