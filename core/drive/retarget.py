@@ -22,6 +22,7 @@ from ..face.landmarks import (
     UPPER_LIPS,
     eye_apertures,
     lid_gaps,
+    lid_normals,
     mouth_aperture,
 )
 from ..heads.regions import LOWER, REGIONS, membership, rms_extent
@@ -39,8 +40,6 @@ _LIP_GAIN = (1.4, 1.5)
 """Gains of the lips' motion across and down. The tracker underestimates this motion, as its experts are uncertain about
 lips and its shape model draws them towards the mean. Chosen on one half of the strangers' clips (`lab.bench.strangers`)
 for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled clips do not suffer."""
-_FIRST_CORNERS, _LAST_CORNERS = EYE_CORNERS[[0, 0, 2, 2]], EYE_CORNERS[[1, 1, 3, 3]]
-"""Corners of the eye of each pair of lids, from the viewer's left."""
 _OVERLAP = 0.02
 """Share of the opening by which shut lids overlap at most. On a character of MakeHuman's 0.5 % of the eyes are visible
 then, instead of 1.3 %."""
@@ -113,16 +112,9 @@ class Retargeter:
         # as it is tilted now. Shut lids overlap a little, or the eye would show between their rims.
         posed = self.head_landmarks + moved
         wanted = np.maximum(self._rest_gaps - self._lid_strength * self._lids.closing(current), self._least_gaps)
-        moved[..., UPPER_LIDS, :2] += (lid_gaps(posed) - wanted)[..., None] * _normals(posed)
+        moved[..., UPPER_LIDS, :2] += (lid_gaps(posed) - wanted)[..., None] * lid_normals(posed)
         _keep_apart(moved, UPPER_LIPS, LOWER_LIPS, self._rest_heights)
         return moved
-
-
-def _normals(points: FloatArray) -> FloatArray:
-    """Unit vectors (..., 4, 2) in x and y across each eye, downwards in an upright face, for the pairs of its lids."""
-    along = points[..., _LAST_CORNERS, :2] - points[..., _FIRST_CORNERS, :2]
-    length = np.maximum(np.hypot(along[..., 0], along[..., 1]), np.finfo(np.float64).tiny)
-    return np.stack([-along[..., 1] / length, along[..., 0] / length], axis=-1)
 
 
 class _Lids:

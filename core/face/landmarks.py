@@ -120,6 +120,13 @@ def lid_gaps(points: FloatArray) -> FloatArray:
     return _across(_between(points, *_EYE_ENDS), _between(points, UPPER_LIDS, LOWER_LIDS))
 
 
+def lid_normals(points: FloatArray) -> FloatArray:
+    """Unit vectors (..., 4, 2) in x and y across the eye, along which `lid_gaps` are measured; of points as there."""
+    along = _between(points, *_EYE_ENDS)
+    length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-12)
+    return np.stack([-along[..., 1] / length, along[..., 0] / length], axis=-1)
+
+
 def lip_gaps(points: FloatArray) -> FloatArray:
     """Signed gaps between facing landmarks of the inner lips, (..., 3), from the viewer's left; see `lid_gaps`."""
     return _across(_between(points, *_MOUTH_ENDS), _between(points, UPPER_LIPS, LOWER_LIPS))
