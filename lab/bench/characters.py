@@ -176,7 +176,7 @@ def main() -> int:
                 *("error to own keys", "scaled", "best mixture"),
             ),
             [
-                (t, 100 * m.eyes, 100 * m.lips, m.crossing, m.most, *map(_shown, (m.own, m.scaled, m.mixed)))
+                (t, round(100 * m.eyes, 3), 100 * m.lips, m.crossing, m.most, *map(_shown, (m.own, m.scaled, m.mixed)))
                 for t, m in made.items()
             ],
         ),
