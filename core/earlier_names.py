@@ -21,7 +21,7 @@ MODULES = {
     "bake.bake_settings": "bake.settings",
     "bake.bezier": "bake.segments",
     "bake.coefficients": "bake.coefficient_model",
-    "bake.expression_keys": "bake.refine drive.expression_keys heads.tongues",
+    "bake.expression_keys": "bake.refine drive.expression_keys",
     "bake.key_quality": "drive.key_quality drive.keyed_face",
     "bake.key_sets": "drive.key_sets",
     "bake.fit": "bake.basis bake.clean",

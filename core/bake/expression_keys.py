@@ -27,13 +27,13 @@ from ..face.landmarks import (
     lid_normals,
     lip_gaps,
 )
-from ..face.names import COEFFICIENTS
+from ..face.names import COEFFICIENT_INDEX, COEFFICIENTS
 from ..face.rotation import fit_rotation
 from ..heads.built_in import Head, load_head
 from ..heads.eyeballs import EyeballContact
-from ..heads.rig import HeadRig, Part
+from ..heads.rig import HeadRig
 from ..heads.slits import SlitContact
-from ..mesh.surface import NearestPoints, islands
+from ..mesh.surface import NearestPoints
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from ..takes.neutral import calibrate
@@ -41,7 +41,7 @@ from ..takes.take import Take
 from .arkit import arkit_coefficients
 from .key_sets import CLOSES, KEY_SETS, OPENS, KeySet
 
-_TONGUE = "tongueOut"
+_TONGUE = COEFFICIENT_INDEX["tongueOut"]
 _STEPS = 2
 """Number of corrections of the landmarks, which the deformer meets only approximately."""
 _CONTACTS = 3
@@ -60,18 +60,6 @@ _LOYALTY = 0.03
 the same from 0.01 to 0.1; that on the same clip grows from 0.03 to 0.3."""
 _EXACT = ("eyeBlink", "eyeLook", "mouthClose")
 """Beginnings of the names of keys that have to meet something, and so stay as they were."""
-
-_TONGUE_LENGTH, _TONGUE_WIDTH = 0.25, 0.15
-"""Least length and width of a tongue in outer-eye distances; a tooth is smaller."""
-_MIDDLE, _FILLED = 0.4, 0.2
-"""Share of the width about the middle that has to hold a share of the vertices of the rear half. Rows of teeth and gums
-are empty there."""
-_TONGUE_REACH = 0.2
-"""Distance in outer-eye distances from the foremost lip to the tip of a tongue that is out."""
-_BELOW = 0.01
-"""Height of that tip below the slit of the mouth, in outer-eye distances."""
-_DROOP, _TAPER = 0.05, 0.35
-"""Height of its middle above a straight line, in outer-eye distances, and share of its width that the tip loses."""
 
 Refine = Callable[[HeadRig, NDArray[np.float32]], NDArray[np.float32]]
 """Changes the displacements of the skin's vertices by keys, (K, V, 3), before lids and lips are made to meet."""
@@ -103,14 +91,10 @@ def expression_keys(
     parts, jaw = PartDriver(rig, skin, alone), Jaw(points, rig.jaw_pivot)
     rest = np.asarray(alone.vertices, dtype=np.float32)
     poses = [
-        parts.pose(rest + motion, jaw.rotation(motion[alone.landmarks]), gaze) - parts.rest
-        for motion, gaze in zip(skin_motions, source.gazes, strict=True)
+        parts.pose(rest + motion, jaw.rotation(motion[alone.landmarks]), gaze, tongue) - parts.rest
+        for motion, gaze, tongue in zip(skin_motions, source.gazes, keys.mixtures[:, _TONGUE].tolist(), strict=True)
     ]
-    made = np.stack(poses)
-    if (tongue := tongue_of(rig)).any():
-        amounts = keys.mixtures[:, COEFFICIENTS.index(_TONGUE), None, None]
-        made[:, tongue] += (amounts * tongue_out(rig, tongue)).astype(np.float32)
-    return keys.names, made
+    return keys.names, np.stack(poses)
 
 
 @dataclass(frozen=True)
@@ -315,42 +299,3 @@ def refined_keys(
     still = ~motions.any(axis=(1, 2))
     change[still | [name.startswith(_EXACT) for name in names]] = 0.0
     return np.asarray((keys + change).reshape(motions.shape), dtype=np.float32)
-
-
-def tongue_of(rig: HeadRig) -> NDArray[np.bool_]:
-    """Return which of all vertices are the tongue's, (A,): a piece of the lower teeth that fills their arch."""
-    vertices, unit = np.asarray(rig.all_vertices, dtype=np.float64), rig.eye_distance
-    found = np.zeros(len(vertices), dtype=bool)
-    if rig.parts is None:
-        return found
-    piece = islands(len(vertices), rig.all_faces)
-    for number in np.unique(piece[rig.kinds == Part.TEETH_LOWER]):
-        rows = (piece == number) & (rig.kinds == Part.TEETH_LOWER)
-        x, _, z = vertices[rows].T
-        width = np.ptp(x)
-        rear = x[z > 0.5 * (z.min() + z.max())]
-        if np.ptp(z) < _TONGUE_LENGTH * unit or width < _TONGUE_WIDTH * unit or not len(rear):
-            continue
-        if (np.abs(rear - 0.5 * (x.min() + x.max())) < 0.5 * _MIDDLE * width).mean() > _FILLED:
-            found |= rows
-    return found
-
-
-def tongue_out(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:
-    """Return the displacements (n, 3) of the `tongue`'s vertices when it is out: head frame, unit of the mesh."""
-    unit, points = rig.eye_distance, np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
-    vertices = np.asarray(rig.all_vertices, dtype=np.float64)[tongue]
-    x, y, z = vertices.T
-    # From the root, 0, to the tip, 1.
-    along = (z.max() - z) / np.ptp(z)
-    slit = points[np.concatenate([UPPER_LIPS, LOWER_LIPS]), 1].mean()
-    rise = y[along.argmax()] - (slit + _BELOW * unit)
-    reach = z.min() - (points[LIPS, 2].min() - _TONGUE_REACH * unit)
-    middle = 0.5 * (x.min() + x.max())
-    return np.column_stack(
-        [
-            -_TAPER * (x - middle) * along**6,
-            _DROOP * unit * along**4 - (rise + _DROOP * unit) * along,
-            -reach * along**1.5,
-        ]
-    )

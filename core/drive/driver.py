@@ -50,7 +50,8 @@ class HeadFrame:
     gaze : (2, 3, 3) float64
         Rotations of the right and left eyeball about their centres, relative to the head.
     actions : (15,) float64
-        Activations of `actions.ACTIONS`; `vertices` include all but that of the tongue.
+        Activations of `actions.ACTIONS`; `vertices` include all but that of a tongue that is an
+        object of its own.
     displacements : (66, 3) float64
         Displacements of the landmarks, which move the skin: head frame, unit of the mesh.
     keys : (K,) float64
@@ -202,7 +203,7 @@ class HeadDriver:
         """Compute all vertices (A, 3) for displacements (66, 3) of landmarks and shown actions (15,)."""
         skin = self._skin(displacements, actions)
         self.taught.move_skin(skin, pose.taught)
-        vertices = self._posed(skin, pose.jaw, pose.gaze)
+        vertices = self._posed(skin, pose.jaw, pose.gaze, float(actions[TONGUE]))
         self.taught.move_others(vertices, pose.taught)
         return vertices
 
@@ -250,7 +251,7 @@ class HeadDriver:
         offsets[kept] = skin
         if self.parts is not None:
             others = self.parts.others[edited[self.parts.others]]
-            offsets[others] = (wanted - self._posed(base + skin, shown.jaw, shown.gaze))[others]
+            offsets[others] = (wanted - self._posed(base + skin, shown.jaw, shown.gaze, shown.tongue))[others]
         return offsets
 
     def edited(self, shown: HeadFrame, wanted: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -270,12 +271,14 @@ class HeadDriver:
             vertices[:, 2] = self.deformer.rest[:, 2]
         return vertices
 
-    def _posed(self, skin: NDArray[np.float32], jaw: FloatArray, eyes: FloatArray) -> NDArray[np.float32]:
+    def _posed(
+        self, skin: NDArray[np.float32], jaw: FloatArray, eyes: FloatArray, tongue: float
+    ) -> NDArray[np.float32]:
         """Return all vertices (A, 3) for those of the skin, whose lids slide over the eyeballs (section 5.8)."""
         planar = self.options.mode == "planar"
         if self.options.contact and not planar:
             self.contact.resolve(skin)
-        return skin if self.parts is None else self.parts.pose(skin, jaw, eyes, planar=planar)
+        return skin if self.parts is None else self.parts.pose(skin, jaw, eyes, tongue, planar=planar)
 
     def _translation(self, pose: FloatArray) -> FloatArray:
         """Translation from neutral in outer-eye distances, (3,), by weak perspective (equation 4.4)."""

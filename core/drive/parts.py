@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..deform.lid_rims import lid_rims
 from ..heads.eyeballs import part_eyeball
 from ..heads.rig import HeadRig, Part, Skin
+from ..heads.tongues import tongue_of, tongue_out
 from ..mesh.surface import NearestPoints, SurfaceGraph, islands
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
@@ -172,6 +173,9 @@ class PartDriver:
                 sphere, _ = part_eyeball(self.rest[rows])
                 self._eyes.append((side, rows, sphere[:3].astype(np.float32)))
         self._teeth = np.flatnonzero(kinds == Part.TEETH_LOWER)
+        self._tongue, self._out = tongue_of(rig), np.zeros((len(self._teeth), 3), dtype=np.float32)
+        if self._tongue.any():
+            self._out[self._tongue[self._teeth]] = tongue_out(rig, self._tongue)
         self._hinge = np.asarray(rig.jaw_pivot, dtype=np.float32)
         self._riding = np.flatnonzero(kinds == Part.ON_SKIN)
         self._glue = self._glued(rig, deformed) if len(self._riding) else None
@@ -195,19 +199,34 @@ class PartDriver:
         eyes = [(("eye_right", "eye_left")[side], rows, centre) for side, rows, centre in self._eyes]
         return [*eyes, ("jaw", self._teeth, self._hinge)]
 
+    @property
+    def tongue(self) -> tuple[NDArray[np.intp], NDArray[np.float32]]:
+        """Vertices of the tongue, (T,), and their displacements (T, 3) when it is out."""
+        return np.flatnonzero(self._tongue), self._out[self._tongue[self._teeth]]
+
     def pose(
-        self, skin: NDArray[np.float32], jaw: FloatArray, gaze: FloatArray, *, planar: bool = False
+        self,
+        skin: NDArray[np.float32],
+        jaw: FloatArray,
+        gaze: FloatArray,
+        tongue: float = 0.0,
+        *,
+        planar: bool = False,
     ) -> NDArray[np.float32]:
         """Return the positions (A, 3) of all vertices, as in `HeadRig.all_vertices`, for those (U, 3) of the skin.
 
         `jaw` (3, 3) rotates the lower teeth about the hinge of the jaw, and `gaze` (2, 3, 3) the right and left eye
-        about their centres. If `planar`, vertices that ride on the skin keep their depth.
+        about their centres; `tongue` is the share by which the tongue is out. If `planar`, vertices that ride on the
+        skin keep their depth.
         """
         out = self.rest.copy()
         out[self._at] = skin[self._from]
         for side, rows, centre in self._eyes:
             out[rows] = _turned(self.rest[rows], centre, gaze[side])
-        out[self._teeth] = _turned(self.rest[self._teeth], self._hinge, jaw)
+        teeth = self.rest[self._teeth]
+        if tongue:
+            teeth += np.float32(tongue) * self._out
+        out[self._teeth] = _turned(teeth, self._hinge, jaw)
         if self._glue is not None:
             out[self._riders] = self._glue.move(skin - self._skin_rest)
         if planar:

@@ -77,6 +77,8 @@ def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> View
     if glue is not None and len(riding):
         arrays["riding"], arrays["roots"] = glue.tables()
     out = [part.out for part in parts if part.out is not None]
+    if head.parts is not None and driver is head:
+        out.insert(0, head.parts.tongue[1])
     arrays["tongue"] = np.concatenate([np.empty((0, 3), dtype=np.float32), *out]).astype(np.float32)
     surfaces, drawn = _drawn(appearance, len(head.rest))
     landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
@@ -167,7 +169,9 @@ def _follows(
             kinds[rows] = _TURNS[name]
         riding, _ = head.parts.riding
         kinds[riding], sources[riding] = RIDING, np.arange(len(riding))
-    own, tongue = [kinds], 0
+        own_tongue, _ = head.parts.tongue
+        kinds[own_tongue], sources[own_tongue] = TONGUE, np.arange(len(own_tongue))
+    own, tongue = [kinds], int((kinds == TONGUE).sum())
     numbers = [sources]
     for part in parts:
         size = len(part.vertices)

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from facemime.core.bake.expression_keys import expression_keys, tongue_of
+from facemime.core.bake.expression_keys import expression_keys
 from facemime.core.bake.key_quality import findings, key_qualities
 from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.face.landmarks import LIPS, LOWER_LIDS, UPPER_LIDS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
 from facemime.core.heads.rig import Part, built_in_head
+from facemime.core.heads.tongues import tongue_of
 from tests.helpers.parted_heads import with_parts
 
 

@@ -14,11 +14,13 @@ from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive.actions import _MAX_ACTIVATION, TONGUE, ActionDriver
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver, drive_take
-from facemime.core.face.landmarks import from_ibug, outer_eye_distance
+from facemime.core.face.landmarks import LIPS, from_ibug, outer_eye_distance
 from facemime.core.face.names import ACTION_MIRROR, ACTIONS, COEFFICIENTS, N_ACTIONS, action_indices
+from facemime.core.heads.built_in import load_head
 from facemime.core.heads.rig import built_in_head
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
+from tests.helpers.parted_heads import with_parts
 from tests.helpers.takes import performance
 
 HEAD = built_in_head()
@@ -144,3 +146,20 @@ def test_a_mirrored_head_shows_actions_on_the_other_side():
     take = showing(performance(), cheekPuffLeft=0.9)
     shown = driver_of(take, mirror=True).frame(take.result(len(take) - 1)).actions
     assert shown[ACTIONS.index("cheekPuffRight")] > 0.8 and shown[ACTIONS.index("cheekPuffLeft")] == 0.0
+
+
+def test_a_tongue_that_is_a_part_comes_out_as_the_performer_sticks_it_out():
+    rig, take = with_parts(), performance()
+    driver = HeadDriver(rig, calibrate(take, start=0.0))
+    rows, out = driver.parts.tongue
+    assert len(rows) == len(load_head().part("tongue").vertices)
+    still, shown = (
+        driver.frame(replace(take.result(0), actions=amount * (np.arange(N_ACTIONS) == TONGUE)))
+        for amount in (0.0, 1.0)
+    )
+    moved = np.asarray(shown.vertices) - still.vertices
+    assert still.tongue == 0.0 and shown.tongue > 0.9
+    np.testing.assert_allclose(moved[rows], shown.tongue * out, atol=1e-4 * rig.eye_distance)
+    lips = rig.vertices[rig.landmarks[LIPS], 2].min()
+    assert shown.vertices[rows, 2].min() < lips - 0.1 * rig.eye_distance
+    assert np.abs(np.delete(moved, rows, axis=0)).max() < 1e-6

@@ -1,0 +1,62 @@
+"""The tongue of a head: which of the parts within its mouth it is, and how it is stuck out (method.md, section 9.6)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..face.landmarks import LIPS, LOWER_LIPS, UPPER_LIPS
+from ..mesh.surface import islands
+from ..numeric.arrays import FloatArray
+from .rig import HeadRig, Part
+
+_LENGTH, _WIDTH = 0.25, 0.15
+"""Least length and width of a tongue in outer-eye distances; a tooth is smaller."""
+_MIDDLE, _FILLED = 0.4, 0.2
+"""Share of the width about the middle that has to hold a share of the vertices of the rear half. Rows of teeth and gums
+are empty there."""
+_REACH = 0.2
+"""Distance in outer-eye distances from the foremost lip to the tip of a tongue that is out."""
+_BELOW = 0.01
+"""Height of that tip below the slit of the mouth, in outer-eye distances."""
+_DROOP, _TAPER = 0.05, 0.35
+"""Height of its middle above a straight line, in outer-eye distances, and share of its width that the tip loses."""
+
+
+def tongue_of(rig: HeadRig) -> NDArray[np.bool_]:
+    """Return which of all vertices are the tongue's, (A,): a piece of the lower teeth that fills their arch."""
+    vertices, unit = np.asarray(rig.all_vertices, dtype=np.float64), rig.eye_distance
+    found = np.zeros(len(vertices), dtype=bool)
+    if rig.parts is None:
+        return found
+    piece = islands(len(vertices), rig.all_faces)
+    for number in np.unique(piece[rig.kinds == Part.TEETH_LOWER]):
+        rows = (piece == number) & (rig.kinds == Part.TEETH_LOWER)
+        x, _, z = vertices[rows].T
+        width = np.ptp(x)
+        rear = x[z > 0.5 * (z.min() + z.max())]
+        if np.ptp(z) < _LENGTH * unit or width < _WIDTH * unit or not len(rear):
+            continue
+        if (np.abs(rear - 0.5 * (x.min() + x.max())) < 0.5 * _MIDDLE * width).mean() > _FILLED:
+            found |= rows
+    return found
+
+
+def tongue_out(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:
+    """Return the displacements (n, 3) of the `tongue`'s vertices when it is out: head frame, unit of the mesh."""
+    unit, points = rig.eye_distance, np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
+    vertices = np.asarray(rig.all_vertices, dtype=np.float64)[tongue]
+    x, y, z = vertices.T
+    # From the root, 0, to the tip, 1.
+    along = (z.max() - z) / np.ptp(z)
+    slit = points[np.concatenate([UPPER_LIPS, LOWER_LIPS]), 1].mean()
+    rise = y[along.argmax()] - (slit + _BELOW * unit)
+    reach = z.min() - (points[LIPS, 2].min() - _REACH * unit)
+    middle = 0.5 * (x.min() + x.max())
+    return np.column_stack(
+        [
+            -_TAPER * (x - middle) * along**6,
+            _DROOP * unit * along**4 - (rise + _DROOP * unit) * along,
+            -reach * along**1.5,
+        ]
+    )
