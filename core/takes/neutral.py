@@ -42,9 +42,9 @@ _CALM = 0.08
 steadier the result."""
 _MUCH_REMOVED = 0.35
 """Activation above which an expression that was removed is reported."""
-_ACTED = 0.5
+_ACTED = 0.6
 """Activation of the brows' actions from which their height at rest counts as unknown. Where the network sees less of
-any, their height is more and more the person's own. From 0.45 to 0.6 frames of strangers compare alike."""
+any, their height is more and more the person's own. From 0.45 to 0.7 frames of strangers compare alike."""
 _BROW_ACTIONS = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _MAX_VALUES = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}
 """Largest stored values: of the shape and the mouth in outer-eye distances, of the gaze and vergence in radians."""
