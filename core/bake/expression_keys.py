@@ -47,6 +47,8 @@ _STEPS = 2
 _CONTACTS = 3
 """Number of times that lids meet and are then moved out of eyeballs and each other, which parts them a bit. Two avatars
 shut their eyes with 3 as with 4."""
+_PARTED = 0.01
+"""Share of the opening of an eye that may be left; without it, more triangles of the lids pass through each other."""
 _REACH = 0.35
 """Distance from the landmarks, in outer-eye distances, within which the carried motion counts."""
 _OPEN = 1e-3
@@ -177,7 +179,8 @@ class _Maker:
             self._eyes.resolve(posed)
             motion = np.asarray(posed - self._rest - before)
             # What contact has parted meets again if the lids are asked to overlap by as much.
-            parted += np.maximum(self._lacking(row, (before + motion)[landmarks]), 0.0)
+            left = self._lacking(row, (before + motion)[landmarks])
+            parted += np.where(left > _PARTED * lid_gaps(self._points), left, 0.0)
         return motion
 
     def _lids(self, row: int, moved: FloatArray, parted: FloatArray) -> FloatArray:
