@@ -111,7 +111,7 @@ def track_video(
 
 
 def _performer(tracker: FaceTracker, path: Path, rate: float) -> tuple[float, float] | None:
-    """Return where a face moves at the beginning of a video while the largest does not, for `FaceTracker.choose`."""
+    """Return the place of a face that moves beside a larger picture of one, for `FaceTracker.choose`; None for none."""
     with open_video(path, rate) as source:
         return tracker.performer(frame.image for frame in islice(source, _LOOKED_AT))
 

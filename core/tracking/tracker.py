@@ -231,9 +231,9 @@ class FaceTracker:
         return self._accept(grey, chosen)
 
     def performer(self, images: Iterable[ArrayLike]) -> tuple[float, float] | None:
-        """Return where the face is, in the first of the images of a video, that moves while the largest one does not.
+        """Return the place, in the first image of a video, of a face that moves while the largest one is a picture.
 
-        None if the largest one moves, or there is no other. It has no effect on `track`.
+        Returns None if the largest one moves, or no other does. Does not affect `track`.
         """
         rivals: Rivals | None = None
         for image in images:
@@ -281,7 +281,7 @@ class FaceTracker:
         return True
 
     def _performing(self, grey: NDArray[np.uint8], rivals: Rivals, followed: Candidate) -> Candidate | None:
-        """Return another face that moves while the tracked one is a picture; None if it is none, or nobody moves."""
+        """Return the largest other face that moves if the tracked one is a picture; otherwise None."""
         rivals.watch(grey)
         if rivals.settled:
             self._rivals = None
