@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import html
 import json
-import ssl
+import shutil
 import subprocess
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -17,7 +17,6 @@ from websockets.sync.client import connect
 
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.streams.transport.security import load_identity
 from facemime.core.viewer.messages import (
     MAX_PAYLOAD,
     NatsError,
@@ -124,16 +123,20 @@ def test_nobody_connects_with_another_password(site, user, password):
             viewer.next("MSG", PATIENCE)
 
 
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="openssl is not installed")
 def test_a_relay_with_a_certificate_is_reached_over_tls(tmp_path):
-    load_identity(tmp_path / "own")
-    files = tmp_path / "own" / "certificate.pem", tmp_path / "own" / "key.pem"
-    made = Site(tmp_path, Relay(f"wss://127.0.0.1:{free_port()}/", *files))
-    context = ssl.create_default_context(cafile=str(files[0]))
-    context.check_hostname = False
-    with relaying(made), connect(made.relay.url, ssl=context, proxy=None) as connection:
-        connection.send(connecting(VIEWER, made.page.name))
-        while b"PONG" not in connection.recv(PATIENCE):
-            pass
+    files = tmp_path / "certificate.pem", tmp_path / "key.pem"
+    subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-subj", "/CN=relay", "-addext"]
+        + ["subjectAltName=DNS:localhost", "-out", str(files[0]), "-keyout", str(files[1])],
+        check=True,
+        capture_output=True,
+    )
+    made = Site(tmp_path, Relay(f"wss://localhost:{free_port()}/", *files))
+    driver, looks = built_in()
+    with relaying(made), closing(RelaySender(made, [looks])) as sender:
+        sender.show(1.0, [driver], [driver.frame(face(3))])
+        wait_for(lambda: sender.sent == 1)
     page = html.unescape((made.page / "index.html").read_text())
     assert f"connect-src 'self' {made.relay.url};" in page
 
