@@ -4,7 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, LOWER_LIPS, NOSE, UPPER_LIPS, eye_apertures, mouth_aperture
+from ..face.landmarks import (
+    BROWS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    LIPS,
+    LOWER_LIPS,
+    MOUTH_CORNERS,
+    NOSE,
+    UPPER_LIPS,
+    eye_apertures,
+    mouth_aperture,
+)
 from ..numeric.arrays import FloatArray, IntArray
 from .face_space import load_face_space, without_similarity
 from .take import Take
@@ -38,6 +49,11 @@ _SEALED = 0.15
 _MAX_SEALED = 0.04
 """Largest gap, in eye distances, of lips that count as shut, which lips that are seen from below, bearded or blurred
 have. Chosen likewise: with 0.03 fewer shut lips are shown as such, with 0.05 fewer of those that are slightly apart."""
+
+_BROAD = 0.02
+"""Distance in eye distances by which expressions broaden a mouth that may smile; in portraits it is 0.06 on average."""
+_NEVER = 0.03
+"""Share of a take in which lips may seem shut that never are."""
 
 
 def trust(take: Take, frames: IntArray) -> FloatArray:
@@ -77,10 +93,17 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> Floa
         acted[eye] = 0.0
         acted[eye, 1] = away[eye, 1] - 0.5 * (first + last) - _ALONG_EYE * (last - first)
         acted[brow, 1] -= 0.5 * (first + last)
-    rest = shape - _TOWARDS_MEAN * acted
-    # The tracker sees shut lips of one person closer together than those of another.
+    # Broad mouths that act smile. Narrow ones were not tried: nobody puckers for a portrait.
+    wider = acted[MOUTH_CORNERS[1], 0] - acted[MOUTH_CORNERS[0], 0]
+    smiling = space.acts(away) * min(max(float(wider) / _BROAD, 0.0), 1.0)
+    share = np.full((len(shape), 1), _TOWARDS_MEAN)
+    share[LIPS] += (1.0 - _TOWARDS_MEAN) * smiling
+    rest = shape - share * acted
+    # The tracker sees shut lips of one person closer together than those of another. Lips that never meet, as in a
+    # radiant smile, do not show how far apart they are when shut, and are taken to meet.
     gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
-    lacking = max(gap - float(mouth_aperture(rest)), 0.0)
+    gap *= 1.0 - min(max(float(np.quantile(openings, _NEVER)) / _MAX_SEALED - 1.0, 0.0), 1.0)
+    lacking = gap - float(mouth_aperture(rest))
     rest[UPPER_LIPS, 1] -= lacking / 2.0
     rest[LOWER_LIPS, 1] += lacking / 2.0
     return np.asarray(rest)

@@ -27,7 +27,7 @@ from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, outer_eye_dista
 from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
-from facemime.core.takes import neutral
+from facemime.core.takes import face_space, neutral
 from facemime.core.takes import rest as resting
 from facemime.core.takes.face_space import load_face_space, without_similarity
 from facemime.core.takes.neutral import calibrate, calmest
@@ -63,6 +63,7 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "neutral face not moved towards the mean": {(resting, "_TOWARDS_MEAN"): 0.0},
     "a third of the way": {(resting, "_TOWARDS_MEAN"): 1.0 / 3.0},
     "two thirds of the way": {(resting, "_TOWARDS_MEAN"): 2.0 / 3.0},
+    "broad mouths not told to smile": {(face_space, "_ACTS"): 1e3},
     "brows as far as the rest": {(neutral, "_ACTED"): 1e-6},
     "brows' doubt up to an activation of 0.3": {(neutral, "_ACTED"): 0.3},
     "brows' doubt up to an activation of 0.8": {(neutral, "_ACTED"): 0.8},
