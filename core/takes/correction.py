@@ -51,14 +51,22 @@ _FAINT = 1e-6
 """Share of a correction below which a frame stays exactly as it was tracked."""
 _LOOK = 1.5
 """Difference of landmarks over which a correction fades, relative to how much their part moves in the take."""
-_LIKENESS = (0.5, 1.0, 2.0)
-"""Differences, as `_LOOK`, of which learning chooses the one by which pins predict each other best."""
+_ALIKE = (0.6, 3.0)
+"""Differences, as `_LOOK`, over which what recurs fades: half changes with the expression, half lasts through most.
+Chosen on half A of the rendered clips (tracking.md, *Pins*), where 4 is slightly better than 3; but on half B, 4 lets
+blinks make an eye worse by 6 %."""
 _STILL = 0.005
 """Motion of a part below which none is assumed, in eye distances."""
-_LEARNT = 0.9
-"""Share of the variance of the errors that recurs in alike frames."""
-_HELPS = 0.5
-"""Share of the squared residuals of pins, predicted by those of other frames, above which nothing is learnt."""
+_LEARNT = 0.95
+"""Share of the variance of the errors that recurs in alike frames; chosen on half A."""
+_HELPS = 0.9
+"""Share of the squared residuals of pins, predicted by those of other frames, above which nothing is learnt;
+chosen on half A. With 0.5, learning is off for some parts that it would help."""
+_UNSURE = 3.0
+"""Difference of a part's certainty over which a correction fades, relative to the usual one from its median in the
+take; chosen on half A. Larger ones let missed blinks close open eyes."""
+_STEADY = 0.004
+"""Usual difference of a part's certainty below which none is assumed; chosen on half A."""
 _FARTHEST = 3.0
 """Distance from the tracked landmark, in eye distances, above which a pin is on something else, and ignored."""
 _ROWS = 4096
@@ -173,10 +181,10 @@ def solve_pins(take: Take) -> Take:
 def learn(take: Take) -> tuple[Learnt, ...]:
     """Learn from the pins of a take, as it was tracked, what corrects alike frames of this performer.
 
-    For each part, as many pins as there are predict those of one frame from those of the others; without a benefit
-    there, the part is left out.
+    For each part, the pins of each frame are predicted from those of the others; without a benefit there, the part is
+    left out.
     """
-    return tuple(part.learnt for part in _Solution(take).parts if part.learnt is not None) if pins_of(take) else ()
+    return tuple(one for part in _Solution(take).parts for one in part.learnt) if pins_of(take) else ()
 
 
 def without_pins(take: Take) -> Take:
@@ -230,18 +238,17 @@ class _Part:
 
     def __init__(self, pins: _Pins, times: FloatArray, faces: Faces) -> None:
         self._pins, self._times, self._faces = pins, times, faces
-        everywhere = faces.looks(pins.part, np.arange(len(times)), 1.0).values[:, :-2]
-        motion = np.sqrt(everywhere.var(axis=0).sum() / len(PARTS[pins.part]))
+        everywhere = faces.looks(pins.part, np.arange(len(times)), 1.0, 1.0)
+        motion = np.sqrt(everywhere.values[:, :-2].var(axis=0).sum() / len(PARTS[pins.part]))
         self._motion = max(float(motion), _STILL)
-        self._usual = self._likeness(_LOOK)
+        self._unsure = _UNSURE * max(_usual_difference(everywhere.certainty), _STEADY)
+        self._usual = Likeness([self._looks(_LOOK)])
+        self._looks_alike = [self._looks(look) for look in _ALIKE]
+        self._alike = [Likeness([looks]) for looks in self._looks_alike]
         self.learnt = self._learn()
 
-    def _likeness(self, look: float) -> Likeness:
-        """Likeness of frames to those with pins."""
-        return Likeness([self._looks(look)])
-
     def _looks(self, look: float) -> Looks:
-        return self._faces.looks(self._pins.part, self._pins.frames, look * self._motion)
+        return self._faces.looks(self._pins.part, self._pins.frames, look * self._motion, self._unsure)
 
     def _near(self, frames: IntArray | slice) -> FloatArray:
         """Share of the corrections that frames (N,) near in time keep, (N, F)."""
@@ -250,19 +257,22 @@ class _Part:
         near[near < _FAINT] = 0.0
         return np.asarray(near)
 
-    def _kernel(self, frames: IntArray | slice, likeness: Likeness | None) -> FloatArray:
-        """Share of the corrections that frames (N,) have which are near or, with a likeness, alike, (N, F)."""
+    def _recurring(self, frames: IntArray | slice) -> FloatArray:
+        """Share of the corrections that recurs in alike frames (N,), (N, F)."""
+        faces = self._faces.chosen(frames)
+        return np.asarray(_LEARNT * np.mean([alike.of(faces) for alike in self._alike], axis=0))
+
+    def _kernel(self, frames: IntArray | slice, *, learns: bool) -> FloatArray:
+        """Share of the corrections that frames (N,) have which are near or, if it learns, alike, (N, F)."""
         near = self._near(frames)
-        if likeness is None:
-            return near
-        return np.asarray(_LEARNT * likeness.of(self._faces.chosen(frames)) + (1.0 - _LEARNT) * near)
+        return self._recurring(frames) + (1.0 - _LEARNT) * near if learns else near
 
     def correct(self, shapes: FloatArray, *, learns: bool) -> None:
         """Correct shapes (N, 66, 3) in place."""
-        likeness = Likeness([self.learnt.looks]) if learns and self.learnt is not None else None
-        moved, tracked = self._pins.moved(self._kernel(self._pins.frames, likeness)), shapes.copy()
+        learns = learns and bool(self.learnt)
+        moved, tracked = self._pins.moved(self._kernel(self._pins.frames, learns=learns)), shapes.copy()
         for rows in self._rows():
-            shapes[rows, PARTS[self._pins.part]] += np.tensordot(self._kernel(rows, likeness), moved, 1)
+            shapes[rows, PARTS[self._pins.part]] += np.tensordot(self._kernel(rows, learns=learns), moved, 1)
         for slit in _SLITS:
             if slit.upper[0] in PARTS[self._pins.part]:
                 self._close(slit, shapes, tracked)
@@ -292,18 +302,20 @@ class _Part:
             shapes[rows, slit.upper, 1] += share * closing
             shapes[rows, slit.lower, 1] -= (1.0 - share) * closing
 
-    def _learn(self) -> Learnt | None:
-        """Return what the pins of this part tell about alike frames; None if they do not predict each other."""
+    def _learn(self) -> tuple[Learnt, ...]:
+        """Return what the pins of this part tell about alike frames; nothing if they do not predict each other."""
         pins = self._pins
         if len(pins.frames) < 2:
-            return None
-        wrong = [pins.wrong(self._recurring(look)) for look in _LIKENESS]
-        if min(wrong) > _HELPS * float(np.square(pins.residuals).sum()):
-            return None
-        look = _LIKENESS[int(np.argmin(wrong))]
-        return Learnt(self._looks(look), _LEARNT * pins.moved(self._kernel(pins.frames, self._likeness(look))))
+            return ()
+        # Between pins, only alike frames tell of each other, not those near in time.
+        alone = self._recurring(pins.frames) + (1.0 - _LEARNT) * np.eye(len(pins.frames))
+        if pins.wrong(alone) > _HELPS * float(np.square(pins.residuals).sum()):
+            return ()
+        moved = _LEARNT / len(self._alike) * pins.moved(self._kernel(pins.frames, learns=True))
+        return tuple(Learnt(looks, moved) for looks in self._looks_alike)
 
-    def _recurring(self, look: float) -> FloatArray:
-        """Kernel over the frames with pins, (F, F), in which only alike frames tell of each other."""
-        like = self._likeness(look).of(self._faces.chosen(self._pins.frames))
-        return np.asarray(_LEARNT * like + (1.0 - _LEARNT) * np.eye(len(like)))
+
+def _usual_difference(certainty: FloatArray) -> float:
+    """Median difference of certainties (N,) from their median; 0 if all are unknown."""
+    known = certainty[~np.isnan(certainty)]
+    return float(np.median(np.abs(known - np.median(known)))) if len(known) else 0.0

@@ -28,8 +28,8 @@ _COLUMNS = tuple(np.append((2 * part[:, None] + [0, 1]).ravel(), [_VALUES - 2, _
 """Values of a face that a part is compared by: its landmarks and the rotation of the head."""
 _TURN = 0.4
 """Rotation of the head, in radians, over which a correction fades; chosen on rendered clips (tracking.md, *Pins*)."""
-_CERTAINTY = 0.015
-"""Difference of the certainty of a part over which a correction fades; chosen on the same clips."""
+_UNSURE = 0.015
+"""Difference of the certainty of a part over which a correction fades, if it was stored without."""
 _MOST = 100.0
 """Largest number in a stored correction."""
 
@@ -59,9 +59,9 @@ class Faces:
         """Return those of some frames."""
         return Faces(self.values[frames], self.certainty[frames])
 
-    def looks(self, part: int, frames: IntArray, reach: float) -> Looks:
+    def looks(self, part: int, frames: IntArray, reach: float, unsure: float) -> Looks:
         """Return how a part looks in some frames."""
-        return Looks(part, self.values[frames][:, _COLUMNS[part]], self.certainty[frames, part], reach)
+        return Looks(part, self.values[frames][:, _COLUMNS[part]], self.certainty[frames, part], reach, unsure)
 
 
 @dataclass(frozen=True)
@@ -78,19 +78,24 @@ class Looks:
         Its certainty; NaN where unknown.
     reach : float
         Root mean square of the landmarks' difference over which a correction fades, in eye distances.
+    unsure : float
+        Difference of the certainty over which it fades.
     """
 
     part: int
     values: FloatArray
     certainty: FloatArray
     reach: float
+    unsure: float
 
 
 class Likeness:
     """How much N faces look like F frames of one or several parts: 0 to 1, (N, F)."""
 
     def __init__(self, looks: Sequence[Looks]) -> None:
-        self._parts = np.repeat([one.part for one in looks], [len(one.values) for one in looks])
+        counts = [len(one.values) for one in looks]
+        self._parts = np.repeat([one.part for one in looks], counts)
+        self._unsure = np.repeat([one.unsure for one in looks], counts)
         self._certainty = np.concatenate([one.certainty for one in looks])
         # A weighted squared distance is a product with the squares of the values and with the values themselves.
         self._matrix = np.zeros((2 * _VALUES, len(self._parts)))
@@ -107,7 +112,7 @@ class Likeness:
     def of(self, faces: Faces) -> FloatArray:
         """Compare faces."""
         away = _product(np.concatenate([np.square(faces.values), faces.values], axis=1), self._matrix) + self._constant
-        unlike = (faces.certainty[:, self._parts] - self._certainty) / _CERTAINTY
+        unlike = (faces.certainty[:, self._parts] - self._certainty) / self._unsure
         unlike[np.isnan(unlike)] = 0.0
         return np.asarray(np.exp(-0.5 * np.maximum(away + np.square(unlike), 0.0)))
 
@@ -119,7 +124,7 @@ def _product(left: FloatArray, right: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Learnt:
-    """What the pins of one part in F frames tell about alike frames.
+    """What the pins of one part in F frames tell about frames that are alike within one reach.
 
     Attributes
     ----------
@@ -143,6 +148,7 @@ class Learnt:
         return {
             "part": looks.part,
             "reach": looks.reach,
+            "unsure": looks.unsure,
             "values": looks.values.round(6).tolist(),
             "certainty": [None if np.isnan(value) else round(value, 6) for value in looks.certainty.tolist()],
             "moved": self.moved.round(6).tolist(),
@@ -151,8 +157,8 @@ class Learnt:
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Learnt:
         """Convert from the result of `to_dict`; ValueError, TypeError or KeyError if it is anything else."""
-        part, reach = data["part"], float(data["reach"])
-        if part not in range(len(PARTS)) or not 0.0 < reach < _MOST:
+        part, reach, unsure = data["part"], float(data["reach"]), float(data.get("unsure", _UNSURE))
+        if part not in range(len(PARTS)) or not (0.0 < reach < _MOST and 0.0 < unsure < _MOST):
             raise DataError("its numbers do not fit")
         values, certainty, moved = (np.array(data[name], np.float64) for name in ("values", "certainty", "moved"))
         count, points = len(moved), len(PARTS[part])
@@ -162,7 +168,7 @@ class Learnt:
         known = (values, moved, certainty[~np.isnan(certainty)])
         if not all((np.abs(array) < _MOST).all() for array in known):
             raise DataError("its numbers are out of range")
-        return cls(Looks(int(part), values, certainty, reach), moved)
+        return cls(Looks(int(part), values, certainty, reach, unsure), moved)
 
 
 class _Joined:
