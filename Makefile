@@ -184,6 +184,8 @@ bench-learning: setup
 bench-correct: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.correct --json build/bench/correct.json
+	$(BIN)/python -m lab.bench.correct_labelled $(CLIPS)/labels.csv $(CLIPS)/neutral.csv $(CLIPS)/clips \
+		--json build/bench/correct_labelled.json
 	$(BIN)/python -m lab.bench.teaching $(CLIPS)/clips $(STRANGERS) --json build/bench/teaching.json
 
 # Controls of rigs, learnt and solved for; needs ../shared/data. Five minutes.

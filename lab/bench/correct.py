@@ -3,11 +3,8 @@
 A simulated user puts one group of landmarks in its true places in a few frames: those with its largest error, at least
 a third of a second apart, or the most doubtful ones. The error in all other frames is compared with that before. The
 group is the one that is tracked worst, relative to its usual error. Every second person is of half A, on which
-constants were chosen; the others are of half B. Figures are given as A / B.
-
-Clips labelled by hand (`lab.bench.expressions`) state the order and the sign of expressions, but no positions. Pins
-would have to be made up from the labels that they are compared with, or be another program's landmarks, which are
-defined otherwise. They are therefore not measured here.
+constants were chosen; the others are of half B. Figures are given as A / B. How far features move, relative to the
+truth, is measured as well.
 """
 
 from __future__ import annotations
@@ -22,6 +19,7 @@ import cv2
 import numpy as np
 
 from facemime.core.face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, JAW, LIPS
+from facemime.core.face.rotation import euler_to_matrices
 from facemime.core.numeric import linalg
 from facemime.core.takes.correction import learn, solve_pins
 from facemime.core.takes.learnt import corrected_result
@@ -30,6 +28,7 @@ from facemime.core.takes.pins import LEARN, Pin, with_pins
 from facemime.core.takes.take import Take, TakeRecorder, describe
 from facemime.core.tracking.tracker import FaceTracker
 from lab.bench.exact import FPS, SIZE, ExactFaces
+from lab.bench.expressions import THRESHOLDS, components
 from lab.bench.report import Table, finish, people_parser
 
 PEOPLE = 12
@@ -205,6 +204,30 @@ def _worst_error(performer: Performer) -> np.ndarray:
     return np.max([errors / np.median(errors) for errors in performer.errors.values()], axis=0)
 
 
+def by_motion(halves: Sequence[Sequence[Performer]]) -> Table:
+    """Measure how far features move relative to the truth, in images in which heads turn by little."""
+    rows: list[list[object]] = []
+    for name in THRESHOLDS:
+        figures = [[_followed(one, name) for one in half] for half in halves]
+        correlations, slopes = ([[one[which] for one in half] for half in figures] for which in (0, 1))
+        rows.append([name, pair(correlations), pair(slopes)])
+    return Table("Motion of landmarks, tracked and true", ["feature", "correlation", "slope"], rows)
+
+
+def _followed(performer: Performer, name: str) -> tuple[float, float]:
+    """Correlation and slope of a tracked feature against the true one, without what the head's rotation explains."""
+    pose = performer.take.pose.astype(np.float64)
+    turned = np.column_stack([np.ones(len(pose)), pose[:, 1:3], np.square(pose[:, 1:3])])
+    upright = euler_to_matrices(np.column_stack([np.zeros((len(pose), 2)), -pose[:, 3]]))[:, :2, :2]
+    moved = []
+    for places in (performer.truth, performer.take.landmarks.astype(np.float64)):
+        level = np.einsum("nij,nkj->nki", upright, places) / pose[:, 0, None, None]
+        feature = components(level)[name]
+        moved.append(feature - turned @ np.linalg.lstsq(turned, feature, rcond=None)[0])
+    true, tracked = moved
+    return float(np.corrcoef(true, tracked)[0, 1]), float(true @ tracked / (true @ true))
+
+
 def live_share(performers: Sequence[Performer]) -> float:
     """Time of the correction of a live result by four parts, relative to a tracked frame."""
     one = performers[0]
@@ -228,6 +251,7 @@ def main() -> None:
     performers = [tracked(faces, tracker, person) for person in range(faces.people)]
     halves = performers[::2], performers[1::2]
     tables = [by_count(halves, "the worst"), by_count(halves, "the most doubtful"), by_group(halves), by_doubt(halves)]
+    tables.append(by_motion(halves))
     share = live_share(performers)
     tables.append(Table("Live cost of what was learnt", ["relative to a tracked frame"], [[share]]))
     finish(options, tables, {table.title: [list(row) for row in table.rows] for table in tables})

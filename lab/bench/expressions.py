@@ -154,14 +154,14 @@ def read_clips(labels: Path, neutral: Path, folder: Path) -> list[Clip]:
 
 def features(points: np.ndarray, rest: np.ndarray) -> Features:
     """Signed features (N,) of pose-free landmarks (N, 66, 3), by dimension, in eye distances from `rest` (66, 3)."""
-    unit, now, then = outer_eye_distance(rest), _raw(points), _raw(rest)
+    unit, now, then = outer_eye_distance(rest), components(points), components(rest)
     moved = {name: (now[name] - then[name]) / unit for name in now}
     for lid in ("lid_l", "lid_r"):
         moved[lid] = moved[lid] / (abs(then[lid]) / unit)  # shut is +1
     return moved
 
 
-def _raw(points: np.ndarray) -> dict[str, np.ndarray]:
+def components(points: np.ndarray) -> dict[str, np.ndarray]:
     """Components of the features; left and right are the image's, and y points down."""
 
     def mean(numbers: Sequence[int], axis: int = 1) -> np.ndarray:
@@ -185,7 +185,7 @@ def _raw(points: np.ndarray) -> dict[str, np.ndarray]:
 def score(clip: Clip, shown: Features, scores: dict[str, Score]) -> list[str]:
     """Add the clip's pairs and frames to `scores`; return a line per frame on the wrong side of rest."""
     wrong = []
-    for name, threshold in THRESHOLDS.items():
+    for name in THRESHOLDS:
         labelled = {
             frame: (float(row[name]), float(shown[name][frame]))
             for frame, row in clip.labels.items()
@@ -193,7 +193,7 @@ def score(clip: Clip, shown: Features, scores: dict[str, Score]) -> list[str]:
         }
         kept = scores.setdefault(name, Score())
         for frame, (label, value) in labelled.items():
-            kept.sign.append(_is_right(name, label, value, threshold))
+            kept.sign.append(is_right(name, label, value))
             if not kept.sign[-1]:
                 wrong.append(f"frame {frame}: {name} is {value:.3f}, labelled {label:g}")
         for (one, here), (other, there) in combinations(labelled.values(), 2):
@@ -203,10 +203,11 @@ def score(clip: Clip, shown: Features, scores: dict[str, Score]) -> list[str]:
     return wrong
 
 
-def _is_right(name: str, label: float, value: float, threshold: float) -> bool:
+def is_right(name: str, label: float, value: float) -> bool:
     """Whether a value is on its label's side of rest, scored one step leniently; a lost frame is not."""
     if not np.isfinite(value):
         return False
+    threshold = THRESHOLDS[name]
     if name == "jaw":
         return label == 1.0 or (value > threshold / 2.0) == (label > 1.0)
     if label == 0.0:

@@ -67,7 +67,7 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "brows as far as the rest": {(neutral, "_ACTED"): 1e-6},
     "brows' doubt up to an activation of 0.3": {(neutral, "_ACTED"): 0.3},
     "brows' doubt up to an activation of 0.8": {(neutral, "_ACTED"): 0.8},
-    "gap of shut lips not from the take": {(resting, "_MAX_SEALED"): 0.0},
+    "gap of shut lips not from the take": {(resting, "_MAX_SEALED"): 1e-6},
     "calmest moment without the brows' usual height": {(resting, "_USUAL"): 0.0},
     "calmest moment without the lids": {(resting, "_LIDS"): 0.0},
     "no expression removed from it": {(resting, "_WEAK"): 10.0},
@@ -75,6 +75,7 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "half a second of it": {(neutral, "_MOMENT"): 0.5},
     "lower lip not relative to the upper one": {(retarget, "_FACING_LIPS"): ()},
     "lips without gains": {(retarget, "_LIP_GAIN"): (1.0, 1.0)},
+    "brows without a gain": {(retarget, "_BROW_GAIN"): 1.0},
     "widest opening not stretched": {(neutral, "_MAX_GAIN"): 1.0},
 }
 """Rules of the neutral face and of retargeting with the values that turn them off, or with others."""

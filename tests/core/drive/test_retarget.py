@@ -12,7 +12,16 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.posing import _ASIDE, _LASTING, _PARALLEL, EyeDriver, eye_strength, gaze_at_viewer
 from facemime.core.drive.retarget import Retargeter
 from facemime.core.errors import HeadError, SourceError
-from facemime.core.face.landmarks import LIPS, LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS, from_ibug, lid_gaps
+from facemime.core.face.landmarks import (
+    BROWS,
+    LIPS,
+    LOWER_LIDS,
+    LOWER_LIPS,
+    UPPER_LIDS,
+    UPPER_LIPS,
+    from_ibug,
+    lid_gaps,
+)
 from facemime.core.face.rotation import euler_to_matrix, fit_rotation, matrix_to_euler
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import EyeballContact
@@ -154,6 +163,16 @@ def test_shut_lips_that_move_together_stay_shut(away, stretched, compensate):
     current[LIPS, 1] += away
     moved = Retargeter(face, points, compensate=compensate).displacements(current)
     np.testing.assert_allclose(moved[LOWER_LIPS, 1], moved[UPPER_LIPS, 1], atol=1e-6)
+
+
+def test_tracked_brows_move_farther_as_a_whole_but_tilt_as_they_were_tracked(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    raised = face.copy()
+    raised[BROWS, 1] -= np.linspace(0.02, 0.06, 10)
+    plain, more = (Retargeter(face, points, compensate=on).displacements(raised)[BROWS, 1] for on in (False, True))
+    for brow in (slice(0, 5), slice(5, 10)):
+        assert 1.05 < more[brow].mean() / plain[brow].mean() < 1.2
+        np.testing.assert_allclose(np.diff(more[brow]), np.diff(plain[brow]), atol=1e-9)
 
 
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
