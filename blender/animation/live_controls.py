@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadFrame
 from ...core.numeric.arrays import FloatArray
-from ...core.rigs.rig_map import PROPERTY, RigMap
+from ...core.rigs.rig_map import LOCATION, PROPERTY, SCALE, RigMap
 from ...core.rigs.solver import RigSolver
 from ..controls.finding import path_of
 from ..controls.setting import ControlValues, holder_of
@@ -166,7 +166,7 @@ def _restore(owner: bpy.types.Object, item: Any) -> None:
             if name in holder:
                 holder[name] = float(value)
         else:
-            setattr(holder, "location" if kind == "location" else rotation_channel(holder), value)
+            setattr(holder, kind if kind in (LOCATION, SCALE) else rotation_channel(holder), value)
     except (TypeError, ValueError):
         return
 

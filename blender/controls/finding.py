@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.errors import HeadError
 from ...core.face.landmarks import OUTER_EYE_CORNERS
-from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, RigChannel
+from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, RigChannel
 from ..characters import members_of, parent_matrix, read_bones
 from ..fcurves import drivers_of
 from ..meshes import mesh_of, posed_bones, read_places, read_vertices
@@ -101,7 +101,7 @@ def path_of(channel: RigChannel, mode: str = "") -> str:
     bone = f'pose.bones["{bpy.utils.escape_identifier(channel.bone)}"]' if channel.bone else ""
     if channel.kind == PROPERTY:
         return f'{bone}["{bpy.utils.escape_identifier(channel.name)}"]'
-    name = "location" if channel.kind == LOCATION else ROTATIONS.get(mode, "rotation_euler")
+    name = ROTATIONS.get(mode, "rotation_euler") if channel.kind == ROTATION else channel.kind
     return f"{bone}.{name}" if bone else name
 
 
@@ -128,13 +128,13 @@ def _is_control(bone: bpy.types.PoseBone) -> bool:
 def _of_transform(
     head: bpy.types.Object, owner: bpy.types.Object, bone: bpy.types.PoseBone | None, driven: set[str]
 ) -> Iterator[RigChannel]:
-    """Yield the channels of location, and of rotation, which may turn the jaw."""
+    """Yield the channels of location, of rotation, which may turn the jaw, and of scale, which may shape the lips."""
     moved = owner if bone is None else bone
     dotted, name = ("", "") if bone is None else (prefix_in_path(bone), bone.name)
     space = owner.matrix_world if bone is not None else parent_matrix(owner)
     unit = eye_distance_of(head) * head.matrix_world.median_scale / max(space.median_scale, 1e-12)
     connected = bone is not None and bone.bone.use_connect and bone.parent is not None
-    places, turns = _limits(moved, "LIMIT_LOCATION"), _limits(moved, "LIMIT_ROTATION")
+    places, turns, sizes = (_limits(moved, f"LIMIT_{kind}") for kind in ("LOCATION", "ROTATION", "SCALE"))
     for axis, (low, high) in enumerate(places):
         # Bones rest in their rest pose, sliders where they are.
         rest = 0.0 if bone is not None else moved.location[axis]
@@ -147,6 +147,10 @@ def _of_transform(
         for axis, (low, high) in enumerate(turns):
             if low < high:
                 yield RigChannel(owner.name, name, ROTATION, axis, low=min(low, 0.0), high=max(high, 0.0))
+    for axis, (low, high) in enumerate(sizes if bone is not None else ()):
+        if not moved.lock_scale[axis] and f"{dotted}scale[{axis}]" not in driven and low < high:
+            down, up = min(low - 1.0, 0.0), max(high - 1.0, 0.0)
+            yield RigChannel(owner.name, name, SCALE, axis, low=down, high=up, rest=1.0)
 
 
 def _limits(moved: bpy.types.Object | bpy.types.PoseBone, kind: str) -> list[tuple[float, float]]:
@@ -158,10 +162,10 @@ def _limits(moved: bpy.types.Object | bpy.types.PoseBone, kind: str) -> list[tup
         if constraint.owner_space != "LOCAL":
             continue
         for axis, letter in enumerate(_AXES):
-            if kind == "LIMIT_LOCATION":
-                sides = [getattr(constraint, f"use_{end}_{letter}") for end in ("min", "max")]
-            else:
+            if kind == "LIMIT_ROTATION":
                 sides = [getattr(constraint, f"use_limit_{letter}")] * 2
+            else:
+                sides = [getattr(constraint, f"use_{end}_{letter}") for end in ("min", "max")]
             low = getattr(constraint, f"min_{letter}") if sides[0] else -np.inf
             high = getattr(constraint, f"max_{letter}") if sides[1] else np.inf
             limits[axis] = max(limits[axis][0], low), min(limits[axis][1], high)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
-from ...core.rigs.rig_map import LOCATION, PROPERTY, RigChannel
+from ...core.rigs.rig_map import PROPERTY, ROTATION, RigChannel
 from ..meshes import posed_bones
 from ..own_pose import matrix_of, rotation_channel
 
@@ -102,7 +102,7 @@ def _has(obj: bpy.types.Object, bone: str) -> bool:
 
 
 def _attribute(holder: Holder, kind: str) -> str:
-    return "location" if kind == LOCATION else rotation_channel(holder)
+    return rotation_channel(holder) if kind == ROTATION else kind
 
 
 def _read(owner: str, bone: str, kind: str, name: str) -> Any:
@@ -115,9 +115,9 @@ def _read(owner: str, bone: str, kind: str, name: str) -> Any:
 
 
 def _vector(owner: str, bone: str, kind: str, name: str) -> FloatArray:
-    """Return a location, a rotation vector, or a property, (3,)."""
+    """Return a location, a scale, a rotation vector, or a property, (3,)."""
     value = _read(owner, bone, kind, name)
-    if kind in (LOCATION, PROPERTY):
+    if kind != ROTATION:
         return np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
     mode = holder_of(owner, bone).rotation_mode
     axis, angle = matrix_of(mode, value).to_quaternion().to_axis_angle()
@@ -125,19 +125,19 @@ def _vector(owner: str, bone: str, kind: str, name: str) -> FloatArray:
 
 
 def _write(group: _Group, own: Any, axes: NDArray[np.intp], values: FloatArray) -> None:
-    """Set the channels of a group; axes without a channel keep their own location, and are not turned."""
+    """Set the channels of a group; axes without a channel keep their own location and scale, and are not
+    turned.
+    """
     owner, bone, kind, name = group
     holder = holder_of(owner, bone)
     if kind == PROPERTY:
         holder[name] = float(values[0])
         holder.id_data.update_tag()
         return
-    vector = np.array(own if kind == LOCATION else (0.0, 0.0, 0.0))
+    vector = np.array((0.0, 0.0, 0.0) if kind == ROTATION else own)
     vector[axes] = values
-    if kind == LOCATION:
-        holder.location = vector.tolist()
-    else:
-        setattr(holder, rotation_channel(holder), rotated(holder.rotation_mode, vector))
+    value = rotated(holder.rotation_mode, vector) if kind == ROTATION else vector.tolist()
+    setattr(holder, _attribute(holder, kind), value)
 
 
 def rotated(mode: str, vector: FloatArray, before: Sequence[float] | None = None) -> tuple[float, ...]:

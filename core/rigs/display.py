@@ -14,7 +14,7 @@ from ..heads.rig import HeadRig
 from ..heads.thumbnail import draw_head, to_pixels
 from ..numeric.arrays import FloatArray, IntArray
 from .control_names import role_of
-from .rig_map import LOCATION, PROPERTY, REGIONS, ROTATION, RigChannel, RigMap
+from .rig_map import PROPERTY, REGIONS, ROTATION, RigChannel, RigMap
 
 SIDE = 176
 """Width and height of a picture in pixels."""
@@ -123,7 +123,7 @@ def _figure(direction: Direction, picture: bytes) -> str:
 def _name(channel: RigChannel) -> str:
     if channel.kind == PROPERTY:
         return channel.name
-    return f"{'Location' if channel.kind == LOCATION else 'Rotation'} {_AXIS_NAMES[channel.index]}"
+    return f"{channel.kind.capitalize()} {_AXIS_NAMES[channel.index]}"
 
 
 def _text(channel: RigChannel, value: float) -> str:

@@ -13,7 +13,7 @@ from ..heads.symmetry import Symmetry
 from ..numeric.arrays import FloatArray, IntArray
 from .control_names import REGION_OF, role_of
 
-LOCATION, ROTATION, PROPERTY = "location", "rotation", "property"
+LOCATION, ROTATION, SCALE, PROPERTY = "location", "rotation", "scale", "property"
 """Kinds of channels."""
 REGIONS: Mapping[str, IntArray] = {
     "Brows": BROWS,
@@ -23,9 +23,9 @@ REGIONS: Mapping[str, IntArray] = {
     "Jaw": JAW,
 }
 """Landmarks of each region."""
-_REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0)}
-"""Largest motion from rest without a limit, in eye distances and radians: farther away, what was measured near rest
-says little."""
+_REACH: Mapping[str, float] = {LOCATION: 0.5, ROTATION: np.radians(30.0), SCALE: 0.5}
+"""Largest change from rest without a limit, in eye distances, radians and shares of the size: farther away, what was
+measured near rest says little."""
 _SYMMETRIC = 0.25
 """Difference of the effects of both directions, relative to their sum, up to which a channel is one variable."""
 _NAMED = 0.5
@@ -47,15 +47,15 @@ class RigChannel:
     bone : str
         Name of the control bone; "" for the object itself.
     kind : str
-        `LOCATION`, `ROTATION` or `PROPERTY`.
+        `LOCATION`, `ROTATION`, `SCALE` or `PROPERTY`.
     index : int
-        Axis of a location or rotation.
+        Axis of a location, rotation or scale.
     name : str
         Name of the property.
     low, high : float
         Smallest and largest value relative to rest: in the unit of the channel, infinite without limits.
     rest : float
-        Value at rest; of a rotation, 0.
+        Value at rest: 0 of a rotation, 1 of a scale.
     unit : float
         The eye distance in the unit of a location.
     """

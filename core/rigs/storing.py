@@ -12,10 +12,10 @@ from ..errors import SourceError
 from ..face.landmarks import N_LANDMARKS
 from ..files.archives import read_archive
 from ..numeric.arrays import FloatArray
-from .rig_map import LOCATION, PROPERTY, ROTATION, RigChannel, RigMap
+from .rig_map import LOCATION, PROPERTY, ROTATION, SCALE, RigChannel, RigMap
 
 _FORM = "facemime controls 1"
-_KINDS = (LOCATION, ROTATION, PROPERTY)
+_KINDS = (LOCATION, ROTATION, SCALE, PROPERTY)
 _MOST = 1 << 26
 """Largest vertex index."""
 

@@ -8,6 +8,7 @@ import pytest
 
 from facemime.blender.animation import live_controls
 from facemime.blender.animation.bake_controls import solve_motion
+from facemime.blender.animation.live_controls import clear_controls
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.controls.probing import Learning, learn_controls
 from facemime.blender.controls.stored import read_controls, write_controls
@@ -20,7 +21,7 @@ from facemime.blender.rigs import read_rig
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError
 from facemime.core.puppet.puppet_settings import PuppetSettings
-from facemime.core.rigs.rig_map import LOCATION, ROTATION
+from facemime.core.rigs.rig_map import LOCATION, ROTATION, SCALE
 from facemime.core.takes.file import save_take
 from facemime.sessions.show import TakeShow
 from facemime.sessions.start import start_session
@@ -66,6 +67,48 @@ def test_learning_finds_the_controls_of_the_face_and_no_others(rigged):
     assert (1, "c1") not in {(channel.index, channel.bone) for channel in found.channels if channel.kind == LOCATION}
 
 
+def test_of_scales_only_those_of_the_lips_are_used(rigged):
+    head, armature = rigged
+    scaled = {channel.bone for channel in learn_controls(head).channels if channel.kind == SCALE}
+    assert scaled and scaled <= {f"c{number}" for number in range(9, 18)}
+    locked = min(scaled)
+    armature.pose.bones[locked].lock_scale = (True, True, True)
+    assert {channel.bone for channel in learn_controls(head).channels if channel.kind == SCALE} == scaled - {locked}
+
+
+def test_a_scale_keeps_to_its_limits(rigged):
+    head, armature = rigged
+    bone = next(channel.bone for channel in learn_controls(head).channels if channel.kind == SCALE)
+    limit = armature.pose.bones[bone].constraints.new("LIMIT_SCALE")
+    limit.owner_space = "LOCAL"
+    for axis in "xyz":
+        setattr(limit, f"use_min_{axis}", True)
+        setattr(limit, f"min_{axis}", 0.9)
+    found = learn_controls(head)
+    scales = [channel for channel in found.channels if (channel.bone, channel.kind) == (bone, SCALE)]
+    assert {(round(channel.low, 5), channel.high) for channel in scales} == {(-0.1, np.inf)}
+    write_controls(head, found)
+    bake(head)
+    for frame in range(1, 61):
+        bpy.context.scene.frame_set(frame)
+        assert min(armature.pose.bones[bone].scale) >= 0.9 - 1e-5 and max(armature.pose.bones[bone].scale) <= 1.5 + 1e-5
+
+
+def test_the_users_scale_of_a_lip_returns_after_a_preview(rigged):
+    head, armature = rigged
+    found = learn_controls(head)
+    write_controls(head, found)
+    bone = armature.pose.bones[next(channel.bone for channel in found.channels if channel.kind == SCALE)]
+    bone.scale = before = (1.1, 0.95, 1.05)
+    shown = show(head)
+    bpy.context.scene.frame_set(40)
+    assert bone.scale[:] != pytest.approx(before)
+    clear_controls(armature)
+    assert bone.scale[:] == pytest.approx(before)
+    shown.close()
+    assert bone.scale[:] == pytest.approx(before)
+
+
 def test_learning_leaves_every_channel_bit_for_bit_as_it_was(rigged):
     before = state(rigged[1])
     learn_controls(rigged[0])
@@ -99,7 +142,7 @@ def test_random_poses_of_the_rig_are_found_again(rigged):
     wanted = np.einsum("nk,ksc->nsc", np.minimum(share, found.upper), found.effects)
     solved = solve_motion(head, found, wanted)
     off = np.linalg.norm(wanted, axis=2).max()
-    assert solved.errors.mean() < 0.15 * off
+    assert solved.errors.mean() < 0.2 * off
 
 
 def test_controls_are_stored_with_the_head(rigged, tmp_path):

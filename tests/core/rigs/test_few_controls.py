@@ -9,7 +9,7 @@ from facemime.core.heads.rig import built_in_head
 from facemime.core.rigs.control_names import REGION_OF, ROLES, mirrored, role_of
 from facemime.core.rigs.display import SIDE, all_arrows, control_arrows, control_picture, directions_of, sheet_page
 from facemime.core.rigs.few import ControlOrder, face_units
-from facemime.core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, Probe, RigChannel, map_of
+from facemime.core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, RigChannel, map_of
 
 UNIT = 0.1
 SAMPLE = np.arange(90)
@@ -132,6 +132,12 @@ def test_the_sheet_says_what_each_direction_does_within_its_range():
     page = sheet_page("Me & you", found, directions, [b"picture"] * len(directions))
     assert "a &lt;b&gt;" in page and "Me &amp; you" in page and page.count("<img") == 3
     assert "<small>Jaw</small>" in page
+
+
+def test_the_sheet_names_the_axis_of_a_location_and_of_a_scale():
+    channels = [RigChannel("Rig", "lip", kind, 1, rest=rest) for kind, rest in ((LOCATION, 0.0), (SCALE, 1.0))]
+    directions = directions_of(map_of(channels, [[Probe(0.5, effect(seed))] for seed in (1, 2)], SAMPLE, UNIT))
+    assert sorted(each.caption.split()[:2] for each in directions) == [["Location", "Y"], ["Scale", "Y"]]
 
 
 def test_a_picture_of_a_control_has_arrows_where_the_face_moves():

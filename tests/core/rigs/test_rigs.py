@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from facemime.core.errors import SourceError
 from facemime.core.face.landmarks import outer_eye_distance
 from facemime.core.heads.built_in import load_head
-from facemime.core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, Probe, RigChannel, map_of
+from facemime.core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, RigChannel, map_of
 from facemime.core.rigs.solver import RigSolver, share_shown
 from facemime.core.rigs.storing import from_bytes, to_bytes
 
@@ -57,6 +57,12 @@ def test_bounds_are_those_of_the_channel(low, high):
     found = mapped(bone("a", 1, low=low, high=high))
     ends = sorted(float(found.values(end)[0]) for end in (found.lower, found.upper))
     assert ends == pytest.approx([low, high])
+
+
+def test_a_scale_without_a_limit_is_at_most_half_as_large_again():
+    scale = RigChannel("Rig", "lip", SCALE, 1, low=-0.2, rest=1.0)
+    found = mapped((scale, [Probe(0.5, effect(6)), Probe(-0.2, -0.4 * effect(6))]))
+    assert [float(found.values(end)[0]) for end in (found.lower, found.upper)] == pytest.approx([-0.2, 0.5])
 
 
 def test_a_control_belongs_to_the_region_that_it_moves_most():
@@ -165,7 +171,9 @@ def test_the_share_that_a_rig_can_show_grows_with_its_controls():
 
 def test_a_map_survives_being_stored():
     turn = RigChannel("Rig", "jaw", ROTATION, 2, low=-0.2, rest=0.0)
-    found = mapped(bone("a", 1, low=-0.1), bone("b", 2, kink=9), (turn, [Probe(0.1, effect(5))]))
+    scale = RigChannel("Rig", "lip", SCALE, 1, low=-0.3, rest=1.0)
+    others = ((turn, [Probe(0.1, effect(5))]), (scale, [Probe(0.5, effect(6)), Probe(-0.3, -0.6 * effect(6))]))
+    found = mapped(bone("a", 1, low=-0.1), bone("b", 2, kink=9), *others)
     again, rig = from_bytes(to_bytes(found, "print"))
     assert rig == "print" and again.channels == found.channels
     np.testing.assert_array_equal(again.channel, found.channel)
