@@ -18,9 +18,18 @@ from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.surface import NearestPoints, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..characters import objects_of, read_bones, read_kinds, rest_matrix, write_bones, write_kinds
+from ..characters import objects_of, parts_of, read_bones, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
-from ..meshes import group_weights, mesh_of, posed_bones, read_faces, read_landmarks, read_places, read_vertices
+from ..meshes import (
+    group_weights,
+    mesh_of,
+    posed_bones,
+    read_faces,
+    read_landmarks,
+    read_places,
+    read_vertices,
+    rest_bones,
+)
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
 
@@ -38,6 +47,9 @@ _REACH = 1.5
 """Distance from the skin, in outer-eye distances, beyond which an object does not belong to a head."""
 _OWN_SHARE = 0.5
 """Minimum share of the weights of a piece for a bone to be the bone of that piece."""
+
+_SAME_POINT = 0.1
+"""Distance between the ends of two bones, relative to the length of one, below which they turn about the same point."""
 
 
 @dataclass(frozen=True)
@@ -219,9 +231,12 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
     names = [name for name in (bones.eye_right, bones.eye_left) if name]
     if armature is None or not names:
         return [""] * len(group.pieces)
-    if group.obj.parent_type == "BONE" and group.obj.parent_bone in names:
-        return [group.obj.parent_bone] * len(group.pieces)
-    shares = {name: group_weights(group.obj, name) for name in names}
+    turned = {name: _turned_by(armature, name) for name in names}
+    if group.obj.parent_type == "BONE":
+        own = next((name for name in names if group.obj.parent_bone in turned[name]), "")
+        if own:
+            return [own] * len(group.pieces)
+    shares = {name: np.sum([group_weights(group.obj, bone) for bone in turned[name]], axis=0) for name in names}
     owners = []
     for i in range(len(group.pieces)):
         means = {name: float(share[group.number == i].mean()) for name, share in shares.items()}
@@ -243,7 +258,34 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
                 weights[name] = weights.get(name, 0.0) + element.weight
     if head.parent_type == "BONE" and head.parent_bone in free:
         weights.setdefault(head.parent_bone, 1.0)
-    return find_bones(free, weights)
+    # A bone that moves no mesh is one at which an eye looks. In Rigify, that is `eye.L`, and `ORG-eye.L` moves the eye.
+    moving = _bones_with_meshes(head)
+    turning = [name for name in free if not moving.isdisjoint(_turned_by(armature, name))]
+    named = {name.removeprefix("ORG-"): name for name in sorted(turning, key=lambda name: not name.startswith("ORG-"))}
+    found, eyes = find_bones(free, weights), find_bones(list(named), {})
+    return replace(found, eye_right=named.get(eyes.eye_right, ""), eye_left=named.get(eyes.eye_left, ""))
+
+
+def _turned_by(armature: bpy.types.Object, name: str) -> list[str]:
+    """Return the names of a bone and of those below it that turn with it about the same point: not of lids, nor of
+    those that a constraint turns.
+    """
+    bone, posed, turned = rest_bones(armature)[name], posed_bones(armature), [name]
+    for below in bone.children_recursive:
+        near = (below.head_local - bone.head_local).length < _SAME_POINT * bone.length
+        if near and below.parent.name in turned and not posed[below.name].constraints:
+            turned.append(below.name)
+    return turned
+
+
+def _bones_with_meshes(head: bpy.types.Object) -> set[str]:
+    """Return the names of bones that a mesh of the character names: by a group, as its parent, or in a constraint."""
+    names: set[str] = set()
+    for obj in {*family_of(head), *parts_of(head).values()}:
+        names.update(group.name for group in obj.vertex_groups)
+        names.update(getattr(constraint, "subtarget", "") for constraint in obj.constraints)
+        names.add(obj.parent_bone if obj.parent_type == "BONE" else "")
+    return names
 
 
 def ensure_bones(head: bpy.types.Object) -> None:

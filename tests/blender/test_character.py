@@ -88,6 +88,35 @@ def test_baked_keys_of_one_name_are_on_all_meshes_that_move_and_have_one_value()
     assert len(objects["tongue"].data.shape_keys.key_blocks) == again.keys + 1
 
 
+def test_the_bone_of_an_eye_turns_it_and_is_not_the_control_that_it_looks_at():
+    objects = make_character(rig=True)
+    armature = objects["head"].parent
+    eyes = {side: objects[f"eye_{name}"] for side, name in (("L", "left"), ("R", "right"))}
+    middles = {side: shown(eye).mean(axis=0) for side, eye in eyes.items()}
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    bones = armature.data.edit_bones
+    for side, middle in middles.items():
+        for name, away, parent in (("eye", 0.3, "Head"), ("MCH-eye", 0.0, "Head"), ("ORG-eye", 0.0, f"MCH-eye.{side}")):
+            bone = bones.new(f"{name}.{side}")
+            bone.head = middle - (0.0, away, 0.0)
+            bone.tail = bone.head - Vector((0.0, 0.02, 0.0))
+            bone.parent = bones[parent]
+    bpy.ops.object.mode_set(mode="OBJECT")
+    for side, eye in eyes.items():
+        track = armature.pose.bones[f"MCH-eye.{side}"].constraints.new("DAMPED_TRACK")
+        track.target, track.subtarget = armature, f"eye.{side}"
+        eye.vertex_groups[0].name = f"ORG-eye.{side}"
+    head, _ = bind_character(objects["head"])
+    assert (read_bones(head)[1].eye_left, read_bones(head)[1].eye_right) == ("ORG-eye.L", "ORG-eye.R")
+    rest = shown(eyes["L"])
+    report = puppet_head(bpy.context.scene, head, performance(), targets=own_targets(head))
+    row = int(np.argmax(np.abs(report.motion.rotation[:, 0, 2])))
+    bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
+    expected = report.motion.rotation[row] @ report.motion.gaze[row, 1]
+    np.testing.assert_allclose(turn_between(rest, shown(eyes["L"])), rotation_to_blender(expected), atol=0.06)
+
+
 @pytest.mark.thorough
 def test_a_cache_is_written_for_each_mesh_that_moves(tmp_path):
     objects = make_character(rig=True)
