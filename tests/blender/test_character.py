@@ -255,6 +255,7 @@ def test_a_bone_with_animation_follows_the_performer_in_a_bake_which_says_what_w
     for row in (0, 17, 29):
         turned = Matrix(own_targets(head)["head"].turned(report.motion.rotation[row]).tolist())
         found = _turn_at(armature, round(frames[row]))
+        found /= np.linalg.norm(found)  # as curves need not meet between keyframes, and Blender does as well
         assert abs(found @ np.array(turned.to_quaternion())) == pytest.approx(1.0, abs=1e-4)
 
 
