@@ -125,9 +125,7 @@ def _vector(owner: str, bone: str, kind: str, name: str) -> FloatArray:
 
 
 def _write(group: _Group, own: Any, axes: NDArray[np.intp], values: FloatArray) -> None:
-    """Set the channels of a group; axes without a channel keep their own location and scale, and are not
-    turned.
-    """
+    """Set the channels of a group; axes without a channel keep their location and scale, and are not turned."""
     owner, bone, kind, name = group
     holder = holder_of(owner, bone)
     if kind == PROPERTY:

@@ -47,9 +47,10 @@ _REACH = 1.5
 """Distance from the skin, in outer-eye distances, beyond which an object does not belong to a head."""
 _OWN_SHARE = 0.5
 """Minimum share of the weights of a piece for a bone to be the bone of that piece."""
-
 _SAME_POINT = 0.1
-"""Distance between the ends of two bones, relative to the length of one, below which they turn about the same point."""
+"""Distance between two bones, relative to the length of one, below which they turn about the same point."""
+_FOLLOWING = {"COPY_ROTATION", "COPY_TRANSFORMS", "CHILD_OF"}
+"""Constraints by which a bone turns with another."""
 
 
 @dataclass(frozen=True)
@@ -259,23 +260,35 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
     if head.parent_type == "BONE" and head.parent_bone in free:
         weights.setdefault(head.parent_bone, 1.0)
     # A bone that moves no mesh is one at which an eye looks. In Rigify, that is `eye.L`, and `ORG-eye.L` moves the eye.
-    moving = _bones_with_meshes(head)
-    turning = [name for name in free if not moving.isdisjoint(_turned_by(armature, name))]
-    named = {name.removeprefix("ORG-"): name for name in sorted(turning, key=lambda name: not name.startswith("ORG-"))}
+    moving, named = _bones_with_meshes(head), dict[str, str]()
+    for name in sorted(free, key=lambda name: not name.startswith("ORG-")):
+        plain = name.removeprefix("ORG-")
+        one = find_bones([plain], {})
+        if (one.eye_right or one.eye_left) and not moving.isdisjoint(_turned_by(armature, name)):
+            named[plain] = name
     found, eyes = find_bones(free, weights), find_bones(list(named), {})
     return replace(found, eye_right=named.get(eyes.eye_right, ""), eye_left=named.get(eyes.eye_left, ""))
 
 
 def _turned_by(armature: bpy.types.Object, name: str) -> list[str]:
-    """Return the names of a bone and of those below it that turn with it about the same point: not of lids, nor of
-    those that a constraint turns.
+    """Return the names of a bone and of those that turn with it: by a constraint, or below it about the same point, but
+    not lids, nor what another constraint turns.
     """
-    bone, posed, turned = rest_bones(armature)[name], posed_bones(armature), [name]
-    for below in bone.children_recursive:
-        near = (below.head_local - bone.head_local).length < _SAME_POINT * bone.length
-        if near and below.parent.name in turned and not posed[below.name].constraints:
-            turned.append(below.name)
+    bone, turned = rest_bones(armature)[name], [name]
+    for leader in turned:  # which grows
+        for other in posed_bones(armature):
+            free = not other.constraints and other.parent is not None and other.parent.name == leader
+            near = (other.bone.head_local - bone.head_local).length < _SAME_POINT * bone.length
+            if other.name not in turned and ((free and near) or _follows(other, armature, leader)):
+                turned.append(other.name)
     return turned
+
+
+def _follows(bone: bpy.types.PoseBone, armature: bpy.types.Object, leader: str) -> bool:
+    """Return whether a constraint turns a bone with another one."""
+    active = (each for each in bone.constraints if each.type in _FOLLOWING and not each.mute)
+    wanted = armature, leader
+    return any((getattr(each, "target", None), getattr(each, "subtarget", "")) == wanted for each in active)
 
 
 def _bones_with_meshes(head: bpy.types.Object) -> set[str]:

@@ -50,8 +50,7 @@ class HeadFrame:
     gaze : (2, 3, 3) float64
         Rotations of the right and left eyeball about their centres, relative to the head.
     actions : (15,) float64
-        Activations of `actions.ACTIONS`; `vertices` include all but that of a tongue that is an
-        object of its own.
+        Activations of `actions.ACTIONS`; `vertices` include all but that of a tongue that is an object.
     displacements : (66, 3) float64
         Displacements of the landmarks, which move the skin: head frame, unit of the mesh.
     keys : (K,) float64

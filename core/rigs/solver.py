@@ -21,7 +21,7 @@ _LIDS = 2.0
 """Weight of the openings of the eyes."""
 _LIPS = 2.0
 """Weight of the opening of the lips."""
-_PRIOR = 2e-3
+_PRIOR = 2.5e-3
 """Weight of the squares of the variables, relative to the mean square of their effects. Chosen on the sample clip; from
 3.5e-3 to 1e-3 takes are shown alike, and random poses of a rig better and better, but lids a little worse."""
 _NARROW = 0.1

@@ -33,9 +33,9 @@ _LASTING = 0.8
 """Standard deviation of the activation of an expression that lasts for a whole take. Chosen on one half of the
 strangers' clips; from 0.4 to 2 frames of different people compare alike."""
 _ACTS = -21.0
-"""Logarithm of how much likelier lips are those of a face that acts than of one at rest, in `acts`, at which they count
-as half of either. The Gaussian prior of expressions has no rest, so it is not 0. Of the London set's people, chosen on
-every other one, those at rest have -25 to -20, and the median of those who smile -15."""
+"""Logarithm of the likelihood ratio of lips that act and lips at rest, at which either is as probable. The Gaussian
+prior of expressions has no rest, so it is not 0. Chosen on every other person of the London set: at rest they have -25
+to -20, and in the median of the smiles -15."""
 _INDEPENDENT = 12.0
 """Largest number of frames that count as independent. Neighbouring frames err alike, so more would outvote the
 prior."""
@@ -125,18 +125,18 @@ class FaceSpace:
         """
         return np.asarray((self._expression @ (displacement.reshape(-1) * TRUST) / TRUST).reshape(N_LANDMARKS, 3))
 
-    def acts(self, displacement: FloatArray) -> float:
+    def acting_probability(self, displacement: FloatArray) -> float:
         """Probability that the lips of a face with a displacement (66, 3) from the mean act, and do not rest.
 
         Unlike in `expressed`, the moment either has an expression or none (equation 4.8).
         """
-        precision, size = self._rest
+        precision, size = self._lips_at_rest
         lips = (displacement.reshape(-1) * TRUST)[_LIPS] / _NOISE
         likelier = 0.5 * (lips @ precision @ lips + size)
         return float(1.0 / (1.0 + np.exp(min(_ACTS - likelier, 100.0))))
 
     @cached_property
-    def _rest(self) -> tuple[FloatArray, float]:
+    def _lips_at_rest(self) -> tuple[FloatArray, float]:
         """By how much expressions lower the precision of the lips (36, 36), and the logarithm of its determinant."""
         shown, (spread, axes) = (_LASTING * self._scaled_units)[:, _LIPS], self._people
         resting = ((axes * spread) @ axes.T + np.eye(len(axes)))[np.ix_(_LIPS, _LIPS)]

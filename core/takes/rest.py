@@ -49,10 +49,9 @@ _SEALED = 0.15
 _MAX_SEALED = 0.04
 """Largest gap, in eye distances, of lips that count as shut, which lips that are seen from below, bearded or blurred
 have. Chosen likewise: with 0.03 fewer shut lips are shown as such, with 0.05 fewer of those that are slightly apart."""
-
 _BROAD = 0.02
 """Distance in eye distances by which expressions broaden a mouth that may smile; in portraits it is 0.06 on average."""
-_NEVER = 0.03
+_MISTAKEN = 0.03
 """Share of a take in which lips may seem shut that never are."""
 
 
@@ -95,14 +94,14 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> Floa
         acted[brow, 1] -= 0.5 * (first + last)
     # Broad mouths that act smile. Narrow ones were not tried: nobody puckers for a portrait.
     wider = acted[MOUTH_CORNERS[1], 0] - acted[MOUTH_CORNERS[0], 0]
-    smiling = space.acts(away) * min(max(float(wider) / _BROAD, 0.0), 1.0)
+    smiling = space.acting_probability(away) * min(max(float(wider) / _BROAD, 0.0), 1.0)
     share = np.full((len(shape), 1), _TOWARDS_MEAN)
     share[LIPS] += (1.0 - _TOWARDS_MEAN) * smiling
     rest = shape - share * acted
     # The tracker sees shut lips of one person closer together than those of another. Lips that never meet, as in a
     # radiant smile, do not show how far apart they are when shut, and are taken to meet.
     gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
-    gap *= 1.0 - min(max(float(np.quantile(openings, _NEVER)) / _MAX_SEALED - 1.0, 0.0), 1.0)
+    gap *= 1.0 - min(max(float(np.quantile(openings, _MISTAKEN)) / _MAX_SEALED - 1.0, 0.0), 1.0)
     lacking = gap - float(mouth_aperture(rest))
     rest[UPPER_LIPS, 1] -= lacking / 2.0
     rest[LOWER_LIPS, 1] += lacking / 2.0

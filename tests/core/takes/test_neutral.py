@@ -140,8 +140,8 @@ def test_a_smile_that_lasts_for_the_whole_take_is_removed_and_reported(space: Fa
 def test_a_broad_mouth_that_rests_is_no_smile(space: FaceSpace) -> None:
     away = [without_similarity((somebody(space, seed) - space.mean)[None], space.mean)[0] for seed in range(40)]
     broad = sorted(away, key=lambda face: width(space.mean + face))[-10:]
-    assert np.median([space.acts(face) for face in broad]) < 0.2
-    assert np.median([space.acts(face + smile_of(space)) for face in away]) > 0.8
+    assert np.median([space.acting_probability(face) for face in broad]) < 0.2
+    assert np.median([space.acting_probability(face + smile_of(space)) for face in away]) > 0.8
 
 
 def test_lips_that_never_meet_in_a_take_rest_shut(space: FaceSpace) -> None:
