@@ -4,13 +4,21 @@ Blender 4.2 keeps them until Python has ended, and crashes when it quits if they
 this module nor what it imports at its top may import that.
 """
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from .head_properties import FacemimeRig
+from collections.abc import Iterable
+from typing import Protocol
 
 
-def use_few(group: "FacemimeRig", _: object) -> None:
+class _Control(Protocol):
+    use: bool
+    order: int
+
+
+class _Rig(Protocol):
+    few: int
+    controls: Iterable[_Control]
+
+
+def use_few(group: _Rig, _: object) -> None:
     """Use as many controls as the slider says: those that help most."""
     for item in group.controls:
         item.use = item.order <= group.few

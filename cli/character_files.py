@@ -11,7 +11,7 @@ from pathlib import Path
 import bpy
 
 from ..blender import head_properties
-from ..blender.animation.clips import Clip, clips_of, owners_of, play_single
+from ..blender.animation.clips import AnimationClip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
 from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen, without_make_up
@@ -163,7 +163,7 @@ def _require_plausible(path: Path) -> None:
         raise SourceError("{path} claims to have more vertices than bytes. It is damaged; export it again.", path=path)
 
 
-def set_frames(clips: Mapping[str, Clip]) -> None:
+def set_frames(clips: Mapping[str, AnimationClip]) -> None:
     """Set the range of the scene to the clips that play, or to all if none does."""
     playing = [clip for clip in clips.values() if clip.plays] or list(clips.values())
     scene, frames = bpy.context.scene, [clip.frames for clip in playing]

@@ -4,23 +4,26 @@ Blender 4.2 keeps them until Python has ended, and crashes when it quits if they
 this module nor what it imports at its top may import that.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     import bpy
-
-    from .takes_properties import FacemimeBake
 
 _COARSEST = 2.0
 """Error of curves at no detail, in percent of the eye distance."""
 
 
-def detail_of(bake: "FacemimeBake") -> float:
+class _Curves(Protocol):
+    clean: float
+    """Error of the curves in percent of the eye distance."""
+
+
+def detail_of(bake: _Curves) -> float:
     """Return the detail of a bake's curves, 0 to 100."""
     return 100.0 * (1.0 - min(bake.clean / _COARSEST, 1.0))
 
 
-def set_detail(bake: "FacemimeBake", detail: float) -> None:
+def set_detail(bake: _Curves, detail: float) -> None:
     """Set the detail of a bake's curves, 0 to 100."""
     bake.clean = _COARSEST * (1.0 - detail / 100.0)
 

@@ -19,7 +19,7 @@ from ..core.face.landmarks import IBUG68_INDICES
 from ..core.heads.regions import REGIONS
 from ..operators.shared import required_subject, subject
 from ..settings.panel_properties import FacemimeLandmark, FacemimeSteps
-from .sidebar import List, OnHead, is_narrow, labels, place, props, side_by_side, split_labels
+from .sidebar import HeadPanel, List, is_narrow, labels, place, props, side_by_side, split_labels
 
 _CURVE = "curve"
 
@@ -76,7 +76,7 @@ class FACEMIME_UL_landmarks(List, bpy.types.UIList):
         return flags, [places[n] for n in range(len(rows))]
 
 
-class FACEMIME_PT_control_points(OnHead, bpy.types.Panel):
+class FACEMIME_PT_control_points(HeadPanel, bpy.types.Panel):
     """Selection of control points, the curve of the error, and the list of landmarks."""
 
     bl_label = "Control Points"

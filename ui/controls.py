@@ -17,7 +17,7 @@ from ..core.control_points.table import draw_errors
 from ..core.errors import messages
 from ..core.rigs.control_names import ROLES, role_of
 from ..operators.shared import required_subject
-from .sidebar import List, OnHead, is_narrow, labels, split_labels
+from .sidebar import HeadPanel, List, is_narrow, labels, split_labels
 
 _REGIONS = messages({"Brows": "Brows", "Eyes": "Eyes", "Nose": "Nose", "Mouth": "Mouth", "Jaw": "Jaw"})
 """Names of the regions in the interface."""
@@ -50,7 +50,7 @@ class FACEMIME_UL_controls(List, bpy.types.UIList):
         line.label(text=ROLES[role] if role else _REGIONS.get(item.region, ""), text_ctxt=CONTEXT)
 
 
-class FACEMIME_PT_controls(OnHead, bpy.types.Panel):
+class FACEMIME_PT_controls(HeadPanel, bpy.types.Panel):
     """The controls of the character's own rig."""
 
     bl_label = "Controls"

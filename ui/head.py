@@ -13,7 +13,7 @@ from ..core.errors import messages
 from ..core.heads.rig import PART_NAMES, Part
 from ..operators.parts import BONES
 from ..operators.shared import subject
-from .sidebar import OnHead, Sidebar, draw_findings, labels, place, side_by_side
+from .sidebar import HeadPanel, Sidebar, draw_findings, labels, place, side_by_side
 
 _OWN_PARTS = messages({"tongue": "Tongue", "lashes": "Lashes", "hair": "Hair"})
 """Parts that only built-in heads have."""
@@ -184,7 +184,7 @@ def _draw_bones(layout: bpy.types.UILayout, head: bpy.types.Object) -> None:
         row.operator("facemime.set_bone", text=bone or "None", translate=not bone, icon="BONE_DATA").target = target
 
 
-class FACEMIME_PT_regions(OnHead, bpy.types.Panel):
+class FACEMIME_PT_regions(HeadPanel, bpy.types.Panel):
     """Buttons that edit the regions, and the findings of the last check."""
 
     bl_label = "Regions"

@@ -52,7 +52,7 @@ class Sidebar(PanelMixin):
             draw_link(self.layout, type(self).__name__)
 
 
-class OnHead(Sidebar):
+class HeadPanel(Sidebar):
     """Mixin: a panel that is shown while the active object is a head."""
 
     @classmethod

@@ -22,7 +22,7 @@ from ..actions import Curve, write_curves
 from ..controls.finding import path_of
 from ..controls.setting import ControlValues, held, holder_of, rotated
 from ..controls.stored import read_controls, stored_map
-from ..controls.view import FaceView
+from ..controls.view import PosedFace
 from ..fcurves import CharacterAction
 from ..muting import Silenced
 from ..rigs import read_rig
@@ -205,7 +205,7 @@ def solve_motion(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> C
 
     The pointer shows the progress. Raises HeadError if a control is missing.
     """
-    solver, view = RigSolver(found), FaceView(head, read_rig(head))
+    solver, view = RigSolver(found), PosedFace(head, read_rig(head))
     values, errors = np.empty((len(wanted), len(found.channels))), np.empty(len(wanted))
     manager = bpy.context.window_manager
     manager.progress_begin(0.0, max(len(wanted), 1))

@@ -17,8 +17,8 @@ _JOINT = "|"
 
 
 @dataclass
-class Clip:
-    """A clip.
+class AnimationClip:
+    """A clip of the character.
 
     Attributes
     ----------
@@ -46,12 +46,12 @@ def owners_of(objects: Iterable[bpy.types.Object]) -> list[bpy.types.ID]:
     return [*objects, *sorted(keys, key=lambda key: key.name)]
 
 
-def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
+def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, AnimationClip]:
     """Return the clips of some data-blocks by name.
 
     A clip is what NLA tracks or actions of one name hold, as importers make them.
     """
-    owners, clips = list(owners), dict[str, Clip]()
+    owners, clips = list(owners), dict[str, AnimationClip]()
     for owner in owners:
         if (data := owner.animation_data) is None:
             continue
@@ -60,18 +60,18 @@ def clips_of(owners: Iterable[bpy.types.ID]) -> dict[str, Clip]:
             for strip in track.strips:
                 if strip.action is None:
                     continue
-                clip = clips.setdefault(track.name, Clip())
+                clip = clips.setdefault(track.name, AnimationClip())
                 clip.actions[owner] = strip.action, _handle(strip)
                 clip.plays |= strip.action == active if active is not None else not (track.mute or strip.mute)
         if active is not None and not any(clip.actions.get(owner, (None,))[0] == active for clip in clips.values()):
-            clip = clips.setdefault(_take_of(active), Clip())
+            clip = clips.setdefault(_take_of(active), AnimationClip())
             clip.actions[owner], clip.plays = (active, _handle(data)), True
     for action, owner in _unassigned(owners):
-        clips.setdefault(_take_of(action), Clip()).actions.setdefault(owner, (action, 0))
+        clips.setdefault(_take_of(action), AnimationClip()).actions.setdefault(owner, (action, 0))
     return dict(sorted(clips.items()))
 
 
-def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> None:
+def play(clips: dict[str, AnimationClip], name: str, owners: Iterable[bpy.types.ID]) -> None:
     """Play only the clip `name` of `clips` on some data-blocks; raises HeadError if there is no such clip."""
     if name not in clips:
         if not clips:
@@ -85,7 +85,7 @@ def play(clips: dict[str, Clip], name: str, owners: Iterable[bpy.types.ID]) -> N
     _assign(clips[name])
 
 
-def play_single(clips: dict[str, Clip]) -> None:
+def play_single(clips: dict[str, AnimationClip]) -> None:
     """Play also the clips whose data-blocks are in no other one.
 
     Exporters may write the actions of a performance, such as that of the head and that of its shape keys, as a clip
@@ -97,7 +97,7 @@ def play_single(clips: dict[str, Clip]) -> None:
             _assign(clip)
 
 
-def _assign(clip: Clip) -> None:
+def _assign(clip: AnimationClip) -> None:
     """Make the actions of a clip the active ones."""
     clip.plays = True
     for owner, (action, handle) in clip.actions.items():

@@ -32,7 +32,7 @@ from ..meshes import mesh_of, posed_bones, rest_bones
 from ..rigs import read_rig
 from .setting import ControlValues, held
 from .stored import read_controls, rig_group, stored_map
-from .view import FaceView
+from .view import PosedFace
 
 
 class ControlSheet:
@@ -49,7 +49,7 @@ class ControlSheet:
     def steps(self) -> Iterator[float]:
         """Pose the rig and draw it, direction by direction; yield the share that is done."""
         rig = replace(read_rig(self._head), parts=None)
-        view = FaceView(self._head, rig)
+        view = PosedFace(self._head, rig)
         view.sample = np.arange(len(rig.vertices))
         rest = np.asarray(rig.vertices, dtype=np.float64)
         try:
@@ -62,7 +62,7 @@ class ControlSheet:
         finally:
             view.close()
 
-    def _seen(self, view: FaceView, controls: ControlValues, direction: Direction | None = None) -> FloatArray:
+    def _seen(self, view: PosedFace, controls: ControlValues, direction: Direction | None = None) -> FloatArray:
         values = np.zeros(len(self._map.channels))
         if direction is not None:
             values[self._map.channels.index(direction.channel)] = direction.value

@@ -16,7 +16,7 @@ from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, Rig
 from ..rigs import read_rig
 from .finding import channels_of
 from .setting import ControlValues
-from .view import FaceView, Seen
+from .view import PosedFace, Seen
 
 _FIRST = {LOCATION: 0.05, ROTATION: np.radians(6.0), SCALE: 0.5}
 """First step of a channel without limits, in eye distances, radians, and shares of the size; a scale has no other."""
@@ -55,7 +55,7 @@ class Learning:
         self.channels = channels_of(head)
         self.done, self.total = 0, len(self.channels)
         self._values = ControlValues(self.channels)
-        self._view = FaceView(head, read_rig(head))
+        self._view = PosedFace(head, read_rig(head))
         self._probes: list[list[Probe]] = [[] for _ in self.channels]
 
     def close(self) -> None:

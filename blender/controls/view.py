@@ -24,8 +24,10 @@ _MOST_OUTSIDE = 2000
 """Vertices outside the face that are looked at."""
 _OF_EYE = 12
 """Vertices of an eyeball that are looked at."""
-_INSIDE, _OUTSIDE = 0.5, 0.02
-"""Sums of the weights of the regions from which a vertex is inside the face, and up to which outside."""
+_INSIDE = 0.5
+"""Sum of the weights of the regions from which a vertex is inside the face."""
+_OUTSIDE = 0.02
+"""Sum of the weights up to which a vertex is outside the face."""
 _SHAPES = {"ARMATURE", "LATTICE", "MESH_DEFORM", "SURFACE_DEFORM", "HOOK", "SHRINKWRAP", "CORRECTIVE_SMOOTH", "SMOOTH"}
 """Modifiers that move vertices, which stay enabled; others may change their number."""
 
@@ -43,7 +45,7 @@ class Seen:
     head: FloatArray
 
 
-class FaceView:
+class PosedFace:
     """A face as its rig shows it, without the motion of the bone of the head.
 
     Modifiers that make other vertices are disabled until `close`. Raises HeadError if the mesh has another number of
@@ -110,7 +112,7 @@ class FaceView:
 
 
 def look_at(head: bpy.types.Object, sample: IntArray) -> FloatArray | None:
-    """Evaluate the rig, and return sampled vertices of a head, (S, 3), as `FaceView` does, but with all its modifiers.
+    """Evaluate the rig, and return sampled vertices of a head, (S, 3), as `PosedFace` does, but with all its modifiers.
 
     None if these change the number of vertices.
     """

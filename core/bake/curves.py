@@ -30,9 +30,11 @@ At .6, 42 % of the keyframes are smooth instead of 33 %, and there are 6 to 9 % 
 """
 _LENGTHS = (16, 40, 100, 256)
 """Longest segments in frames, in each attempt; most have about 10."""
-_SHRINK, _STRONGEST = 0.9, 0.3
+_SHRINK = 0.9
 """Factor of the error of a curve in a frame in which all together err too much, beyond what would suffice if all became
-better by it; and the least."""
+better by it."""
+_STRONGEST = 0.3
+"""Least value of that factor."""
 _MAIN = 0.7
 """Share of the largest part in the error of a frame from which a curve has to come closer there. At .5 there are 5 %
 more keyframes, as more curves do."""
@@ -44,8 +46,10 @@ _FLAT = 1e-6
 """Range of a curve, and step within a plateau, that counts as none."""
 _SAME = 1e-9
 """Difference of slopes, per frame, that is due to rounding."""
-_AT_ONCE, _SPANS_AT_ONCE = 64, 256
-"""Numbers of frames and of spans processed at a time."""
+_AT_ONCE = 64
+"""Number of frames processed at a time."""
+_SPANS_AT_ONCE = 256
+"""Number of spans processed at a time."""
 _CHECKED = 64_000
 """Frames of segments, of all lengths, that are checked at a time, which fit into the CPU's second-level cache."""
 

@@ -16,7 +16,12 @@ SIDE = 96
 """Width and height in pixels."""
 _EXTENT = 2.0
 """Width of what is drawn, in outer-eye distances: the face from the forehead to the chin."""
-_BACK, _SKIN, _EYE = 48, 215, 240
+_BACK = 48
+"""Grey of the background."""
+_SKIN = 215
+"""Grey of the skin in full light."""
+_EYE = 240
+"""Grey of the eyeballs in full light."""
 _LIGHT = np.array([-0.4, -0.5, -0.77])
 """Direction to the light in the head frame: from above, on the left of the picture."""
 _AMBIENT = 0.35

@@ -10,11 +10,15 @@ from ..mesh.surface import islands
 from ..numeric.arrays import FloatArray
 from .rig import HeadRig, Part
 
-_LENGTH, _WIDTH = 0.25, 0.15
-"""Least length and width of a tongue in outer-eye distances; a tooth is smaller."""
-_MIDDLE, _FILLED = 0.4, 0.2
-"""Share of the width about the middle that has to hold a share of the vertices of the rear half. Rows of teeth and gums
-are empty there."""
+_LENGTH = 0.25
+"""Least length of a tongue in outer-eye distances; a tooth is shorter."""
+_WIDTH = 0.15
+"""Least width of a tongue in outer-eye distances; a tooth is narrower."""
+_MIDDLE = 0.4
+"""Share of the width, about the middle, that is searched for vertices in the rear half. It is empty in rows of teeth
+and gums."""
+_FILLED = 0.2
+"""Share of the rear half's vertices that a tongue has there."""
 _REACH = 0.2
 """Distance in outer-eye distances from the foremost lip to the tip of a tongue that is out."""
 _BELOW = 0.01

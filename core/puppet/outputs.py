@@ -176,7 +176,7 @@ def _prepare(head: LiveHead, neutral: Neutral, drivers: list[HeadDriver | KeyDri
     return driver if head.keys is None else KeyDriver(driver, neutral, head.keys)
 
 
-class Recorder(Protocol):
+class FrameRecorder(Protocol):
     """Interface of a recording."""
 
     def append(self, frame: LiveFrame, result: TrackResult) -> None:

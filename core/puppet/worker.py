@@ -24,7 +24,7 @@ from ..tracking.overlay import draw_preview
 from ..tracking.people import PeopleRoles, PeopleTracker
 from ..tracking.result import TrackResult
 from ..tracking.tracker import DEFAULTS, FaceTracker, TrackingSettings
-from .outputs import Display, HeadDrivers, LiveHead, Output, Recorder
+from .outputs import Display, FrameRecorder, HeadDrivers, LiveHead, Output
 from .performer import Performer
 from .puppet_settings import PuppetSettings
 from .sources import LiveFrame, LiveSource
@@ -170,7 +170,7 @@ class LiveWorker:
         self.displays: tuple[Display, ...] = ()
         self.first = Performer(neutral)
         self._performers = {0: self.first}
-        self._recorder: Recorder | None = None
+        self._recorder: FrameRecorder | None = None
         self._recording = threading.Lock()
         self._drivers = HeadDrivers()
         self._size: tuple[int, ...] = ()
@@ -236,7 +236,7 @@ class LiveWorker:
             recorder.append(time, result)
         return recorder.finish()
 
-    def record(self, recorder: Recorder) -> None:
+    def record(self, recorder: FrameRecorder) -> None:
         """Record all further frames with `recorder`, which is closed at the end."""
         self.stop_recording()
         with self._recording:

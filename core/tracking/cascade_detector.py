@@ -56,7 +56,7 @@ _FILLING = 96
 """Smallest box of a close-up in pixels."""
 
 
-class Picture(Enum):
+class Preparation(Enum):
     """How the image is prepared for a cascade."""
 
     PLAIN = 0
@@ -84,7 +84,7 @@ class Scan:
         Sides of the windows in pixels; 0 for no upper limit.
     growth : float
         Ratio of successive sides.
-    picture : Picture
+    picture : Preparation
         How the image is prepared.
     roll : float
         Angle in radians by which the image is rotated back first.
@@ -95,7 +95,7 @@ class Scan:
     smallest: int = _SMALLEST
     largest: int = 0
     growth: float = 1.12
-    picture: Picture = Picture.EVEN
+    picture: Preparation = Preparation.EVEN
     roll: float = 0.0
 
     def split(self, sides: Sequence[int]) -> list[Scan]:
@@ -108,15 +108,17 @@ _FAR = Scan(neighbours=2, largest=_FARTHEST, growth=1.2)
 SCANS: dict[Effort, tuple[Scan, ...]] = {
     Effort.NEAR: (Scan(smallest=_NEAR),),
     Effort.SMALL: (Scan(largest=_NEAR),),
-    Effort.FILLING: (Scan(smallest=_FILLING, picture=Picture.RIMMED),),
-    Effort.FINE: (Scan(0, 2), Scan(1, 1, picture=Picture.LOCAL)),
-    Effort.PROFILE: (Scan(2, 2), Scan(2, 2, picture=Picture.FLIPPED)),
+    Effort.FILLING: (Scan(smallest=_FILLING, picture=Preparation.RIMMED),),
+    Effort.FINE: (Scan(0, 2), Scan(1, 1, picture=Preparation.LOCAL)),
+    Effort.PROFILE: (Scan(2, 2), Scan(2, 2, picture=Preparation.FLIPPED)),
     # Radians; each covers a quarter of a radian to either side.
     Effort.TILTED: tuple(Scan(roll=roll) for roll in (0.5, -0.5)),
     Effort.LYING: tuple(Scan(roll=roll) for roll in (1.05, -1.05, 1.6, -1.6)),
     Effort.FAR: (_FAR,),
     Effort.FARTHER: (_FAR,),
-    Effort.ANYTHING: tuple(Scan(d, 0, picture=picture) for d in (0, 1) for picture in (Picture.PLAIN, Picture.LOCAL)),
+    Effort.ANYTHING: tuple(
+        Scan(d, 0, picture=picture) for d in (0, 1) for picture in (Preparation.PLAIN, Preparation.LOCAL)
+    ),
 }
 """The scans of each effort."""
 _SPLITS: dict[Effort, tuple[int, ...]] = {
@@ -194,7 +196,7 @@ class CascadeDetector:
         plain, factor = _shrink(grey, _SIDES.get(step.effort, _QUICK_SIDE))
         if min(plain.shape) < _SMALLEST or max(grey.shape) <= _SEARCHED.get(step.effort, 0):
             return []
-        prepared: dict[Picture, NDArray[np.uint8]] = {}
+        prepared: dict[Preparation, NDArray[np.uint8]] = {}
         found = []
         for scan in step.scans:
             if scan.picture not in prepared:
@@ -212,9 +214,9 @@ class CascadeDetector:
             turned, scan.growth, scan.neighbours, minSize=limits[0], maxSize=limits[1]
         ):
             x, y, w, h = (float(v) for v in found)
-            if scan.picture is Picture.FLIPPED:
+            if scan.picture is Preparation.FLIPPED:
                 x = picture.shape[1] - x - w
-            elif scan.picture is Picture.RIMMED:
+            elif scan.picture is Preparation.RIMMED:
                 x, y = x - _RIM, y - _RIM
             if scan.roll:
                 cx, cy = back @ np.array([x + w / 2, y + h / 2, 1.0])
@@ -223,15 +225,15 @@ class CascadeDetector:
         return out
 
 
-def _prepared(plain: NDArray[np.uint8], picture: Picture) -> NDArray[np.uint8]:
-    if picture is Picture.PLAIN:
+def _prepared(plain: NDArray[np.uint8], picture: Preparation) -> NDArray[np.uint8]:
+    if picture is Preparation.PLAIN:
         return plain
-    if picture is Picture.LOCAL:
+    if picture is Preparation.LOCAL:
         return cv2.createCLAHE(4.0, (6, 6)).apply(plain).astype(np.uint8)
     even = cv2.equalizeHist(plain).astype(np.uint8)
-    if picture is Picture.FLIPPED:
+    if picture is Preparation.FLIPPED:
         return np.ascontiguousarray(even[:, ::-1])
-    if picture is Picture.RIMMED:
+    if picture is Preparation.RIMMED:
         return cv2.copyMakeBorder(even, _RIM, _RIM, _RIM, _RIM, cv2.BORDER_REPLICATE).astype(np.uint8)
     return even
 

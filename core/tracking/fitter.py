@@ -41,7 +41,7 @@ _REFIT_DISTANCE = 0.05
 
 
 @dataclass(frozen=True)
-class Stage:
+class FitStage:
     """One evaluation of the experts and the fits to their maps.
 
     Attributes
@@ -58,8 +58,8 @@ class Stage:
 
 # The table of section 3.4. Three rounds, each with its own Jacobian, let the pose turn far from that of a detected box.
 _APPROACH = MeanShiftOptions((inf,), 0.006)
-COARSE = Stage(False, (_APPROACH, _APPROACH, _APPROACH, MeanShiftOptions((0.02, 0.01), 0.006, outlier_scale=0.05)))
-FINE = Stage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, outlier_scale=0.03),))
+COARSE = FitStage(False, (_APPROACH, _APPROACH, _APPROACH, MeanShiftOptions((0.02, 0.01), 0.006, outlier_scale=0.05)))
+FINE = FitStage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, outlier_scale=0.03),))
 _EDGES = MeanShiftOptions((4e-4, 2e-4), 3e-5)
 REFINED = (FINE, FINE)
 DETECTED = (COARSE, *REFINED)
@@ -103,7 +103,7 @@ class FaceFitter:
             in_parts[MIRROR[part.landmarks]] |= part.paired
         self._face_weight = np.where(in_parts, 0.1, 0.4)
 
-    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
+    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
         """Fit a face from `start`, in the image frame, by stages such as `REFINED` or `DETECTED`.
 
         If the last stage uses parts, edges are refined at the end.
@@ -120,7 +120,7 @@ class FaceFitter:
             fit = self._fit_stage(grey, fit.fitted, FINE)
         return self._refine_edges(grey, fit)
 
-    def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: Stage) -> Fit:
+    def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: FitStage) -> Fit:
         began = perf_counter()
         local = _in_face_frame(start)
         # 1. Response maps (3.3), in the face frame of the start.

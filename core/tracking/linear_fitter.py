@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .facetracker_file import is_text_model, read_facetracker
-from .fitter import FaceFitter, Fit, Stage
+from .fitter import FaceFitter, Fit, FitStage
 from .linear_experts import REACH, LinearModel
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel, load_model
@@ -52,7 +52,7 @@ class LinearFitter(FaceFitter):
         super().__init__(model, timings)
         self._linear = linear
 
-    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[Stage, ...]) -> Fit:
+    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
         """Fit a face from `start`, in all windows; for a coarse stage only its pose, in the widest one."""
         parts = stages[-1].parts
         fitted = self.fit_linear(grey, start, RADII if parts else RADII[:1])

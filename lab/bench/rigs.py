@@ -20,7 +20,7 @@ from facemime.blender.animation.bake_keys import read_keys
 from facemime.blender.characters import members_of
 from facemime.blender.controls.probing import learn_controls
 from facemime.blender.controls.setting import held
-from facemime.blender.controls.view import FaceView
+from facemime.blender.controls.view import PosedFace
 from facemime.blender.meshes import mesh_of
 from facemime.blender.rigs import read_rig
 from facemime.core.drive.driver import drive_take
@@ -97,7 +97,7 @@ def values_of(head: bpy.types.Object, found: RigMap, wanted: FloatArray, correct
 def _solved(
     head: bpy.types.Object, found: RigMap, wanted: FloatArray, corrections: int
 ) -> tuple[FloatArray, FloatArray, float]:
-    view, solver, seconds, shown = FaceView(head, read_rig(head)), RigSolver(found), 0.0, []
+    view, solver, seconds, shown = PosedFace(head, read_rig(head)), RigSolver(found), 0.0, []
     used = []
     try:
         with held(found.channels) as values:
@@ -146,7 +146,7 @@ def round_trip(head: bpy.types.Object, found: RigMap) -> tuple[float, float]:
         x = random.uniform(0.0, 0.5, len(found.channel)) * np.where(random.random(len(found.channel)) < 0.2, 1.0, 0.0)
         low, high = np.maximum(found.lower, -1.0), np.minimum(found.upper, 1.0)
         poses.append(found.values(np.where(random.random(len(x)) < 0.5, x * low, x * high)))
-    view = FaceView(head, read_rig(head))
+    view = PosedFace(head, read_rig(head))
     try:
         with held(found.channels) as values:
             values.write(np.zeros(len(found.channels)))

@@ -11,7 +11,7 @@ from facemime.blender.animation.bake_controls import solve_motion
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.controls.probing import Learning, learn_controls
 from facemime.blender.controls.stored import read_controls, write_controls
-from facemime.blender.controls.view import FaceView
+from facemime.blender.controls.view import PosedFace
 from facemime.blender.fcurves import curves_in
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import key_names, mesh_of
@@ -173,7 +173,7 @@ def test_a_bake_plays_back_what_was_solved(rigged):
     found = learn_controls(head)
     write_controls(head, found)
     bpy.context.view_layer.update()
-    view = FaceView(head, read_rig(head))
+    view = PosedFace(head, read_rig(head))
     rest = view.look().face
     report = bake(head, clean=0.0)
     wanted, worst, off, size = report.motion.vertices[:, found.sample], 0.0, [], []
@@ -245,7 +245,7 @@ def test_a_preview_moves_the_controls_and_puts_them_back(rigged):
 
 def off_in_preview(head, found):
     """Error of the landmarks in a preview, relative to their motion."""
-    view = FaceView(head, read_rig(head))
+    view = PosedFace(head, read_rig(head))
     rest = view.look().face[:66]
     shown = show(head)
     off, size = [], []
