@@ -42,17 +42,22 @@ def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: boo
         )
         for armature in resting
     ]
-    kinds = (_ROTATIONS if rotation else set()) | (_LOCATIONS if translation else set())
     found = dict.fromkeys(
         f"{target.owner.name} ({constraint.name})"
         for target in targets
         for constraint in target.owner.constraints
-        if constraint.type in kinds and _overrules(constraint)
+        if constraint.type in _overruling(target, rotation=rotation, translation=translation) and _overrules(constraint)
     )
     if found:
         names = ", ".join(found)
         warnings.append(Message("Constraints override the pose: {names}. Mute them to show it.", names=names))
     return warnings
+
+
+def _overruling(target: PoseTarget, *, rotation: bool, translation: bool) -> set[str]:
+    """Return the types of constraints that change what a target's pose is given."""
+    turns, moves = rotation and not target.looking, translation or (rotation and bool(target.looking))
+    return (_ROTATIONS if turns else set()) | (_LOCATIONS if moves else set())
 
 
 def unseen(heads: Iterable[bpy.types.Object]) -> list[str]:

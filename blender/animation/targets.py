@@ -22,6 +22,7 @@ from ...core.face.landmarks import EYE_CORNERS
 from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
+from ..aims import aim_of
 from ..characters import (
     objects_of,
     own_rotation,
@@ -82,6 +83,9 @@ class PoseTarget:
         head.
     strength : float
         Factor of the angles of rotations.
+    looking : tuple of str
+        Bones that look at this one. It is moved so that they turn, about the middle of their heads, instead of being
+        rotated itself.
     """
 
     obj: bpy.types.Object
@@ -89,6 +93,7 @@ class PoseTarget:
     head: bpy.types.Object | None = None
     pivot: tuple[float, float, float] | None = None
     strength: float = 1.0
+    looking: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, obj: bpy.types.Object, bone: str = "", head: bpy.types.Object | None = None) -> PoseTarget:
@@ -148,7 +153,7 @@ class PoseTarget:
             isinstance(owner, bpy.types.Object) and own_mode(owner) == "AXIS_ANGLE"
         ):  # its animation goes on in channels that are not shown
             owner.rotation_quaternion = own_rotation(owner).to_quaternion()
-        if rotation is not None:
+        if rotation is not None and not self.looking:
             write_rotation(owner, Matrix(self._added(self.turned(rotation)).tolist()))
         if (location := self._location(rotation, translation)) is not None:
             setattr(owner, f"{prefix_of(owner)}location", location.tolist())
@@ -181,7 +186,9 @@ class PoseTarget:
             return []
         hold_own(self.owner)
         curves = []
-        if rotations is not None:
+        if self.looking:
+            length = None if angle is None else angle * float(np.linalg.norm(self._about()))
+        elif rotations is not None:
             turns = self._added(self.turned(rotations, placed.rotations))
             curves = self._rotation_curves(turns, angle, placed.angles)
         if (locations := self._location(rotations, translations, placed.rotations)) is not None:
@@ -231,14 +238,19 @@ class PoseTarget:
     ) -> FloatArray | None:
         """Return (..., 3) values of the location's channels; None if they are not changed."""
         location = None if translation is None else self.moved(translation, placed)
-        if rotation is not None and not self.bone and self.pivot is not None:
+        if rotation is not None and (self.looking or (not self.bone and self.pivot is not None)):
             about = self._about()
             around = about - self.turned(rotation, placed) @ about
             location = around if location is None else location + around
         return None if location is None else location + np.array(own_pose(self.owner).location)
 
     def _about(self) -> FloatArray:
-        """Return (3,) from the location of the object to the pivot, in the space of its parent."""
+        """Return (3,) from the location to the point about which it turns, in the space of the parent or of a bone."""
+        if self.looking:
+            bones = rest_bones(self.obj)
+            middle = np.mean([np.array(bones[name].head_local) for name in self.looking], axis=0)
+            away = self._bone_axes().T @ (middle - np.array(bones[self.bone].head_local))
+            return np.asarray(away - np.array(own_pose(self.owner).location))
         in_world = rest_matrix(self.head or self.obj) @ Vector(self.pivot or (0.0, 0.0, 0.0))
         placed = self.obj.location + own_pose(self.obj).location
         return np.array(parent_matrix(self.obj).inverted_safe() @ in_world - placed)
@@ -248,12 +260,20 @@ class PoseTarget:
         head = self.head or self.obj
         mirrored = np.where(np.array(placed_scale(head)) < 0.0, -1.0, 1.0)
         if self.bone:
-            bone = np.array(rest_bones(self.obj)[self.bone].matrix_local.to_3x3().normalized())
-            return np.asarray((rest_rotation(self.obj) @ bone).T @ rest_rotation(head) * mirrored)
+            return np.asarray((rest_rotation(self.obj) @ self._bone_axes()).T @ rest_rotation(head) * mirrored)
         if head == self.obj:
             own = np.array(own_rotation(self.obj)) if placed is None else placed
             return np.asarray(np.array(own_pose(self.obj).rotation) @ own * mirrored)
         return np.asarray(parent_rotation(self.obj).T @ rest_rotation(head) * mirrored)
+
+    def _bone_axes(self) -> FloatArray:
+        """Return (3, 3) from the axes of the channels of the bone to those of its armature."""
+        bone = rest_bones(self.obj)[self.bone]
+        return (
+            np.eye(3)
+            if self.looking and not bone.use_local_location
+            else np.array(bone.matrix_local.to_3x3().normalized())
+        )
 
     def _scale(self) -> FloatArray:
         """Return (3,) the length of the head's units along its axes, in units of the target's channels."""
@@ -293,7 +313,8 @@ def _axis_angles(quaternions: FloatArray) -> FloatArray:
 def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
     """Return the default targets of a head's pose: the bones that were found when it was bound, or the head.
 
-    These are "head", and "eye_left" and "eye_right" if bones rotate the eyes.
+    These are "head", and "eye_left" and "eye_right" if bones rotate the eyes: the controls at which they look, if they
+    have such. If both look at the same one, it is "eye_left".
     """
     armature, bones = read_bones(head)
     if armature is None or not bones.head:
@@ -304,7 +325,12 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
     for eye, corners in (("eye_left", EYE_CORNERS[2:]), ("eye_right", EYE_CORNERS[:2])):
         if armature is not None and (bone := getattr(bones, eye)):
             target = PoseTarget(armature, bone, head)
-            targets[eye] = replace(target, strength=_eye_strength(head, target, corners))
+            target = replace(target, strength=_eye_strength(head, target, corners))
+            aim = aim_of(armature, bone, bones.head)
+            targets[eye] = replace(target, bone=aim, looking=(bone,)) if aim else target
+    if len(targets) == 3 and targets["eye_left"].bone == targets["eye_right"].bone:
+        shared = targets.pop("eye_right")
+        targets["eye_left"] = replace(shared, looking=(*shared.looking, *targets["eye_left"].looking))
     return targets
 
 

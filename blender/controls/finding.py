@@ -12,6 +12,7 @@ import numpy as np
 from ...core.errors import HeadError
 from ...core.face.landmarks import OUTER_EYE_CORNERS
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, RigChannel
+from ..aims import aim_of
 from ..characters import members_of, parent_matrix, read_bones
 from ..fcurves import drivers_of
 from ..meshes import mesh_of, posed_bones, read_places, read_vertices
@@ -70,8 +71,10 @@ def channels_of(head: bpy.types.Object) -> list[RigChannel]:
                 "(Object > Library Override > Make), or make it local.",
                 name=obj.name,
             )
-    bones = read_bones(head)[1]
+    posed, bones = read_bones(head)
     posing = {bones.head, bones.eye_left, bones.eye_right}
+    if posed is not None:
+        posing |= {aim_of(posed, eye, bones.head) for eye in (bones.eye_left, bones.eye_right) if eye}
     for armature in armatures:
         driven = _driven_paths(armature)
         for bone in posed_bones(armature):

@@ -18,6 +18,7 @@ from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.surface import NearestPoints, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
+from ..aims import aim_of, looks_only
 from ..characters import objects_of, parts_of, read_bones, read_kinds, rest_matrix, write_bones, write_kinds
 from ..frames import from_blender, to_blender
 from ..meshes import (
@@ -259,14 +260,17 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
                 weights[name] = weights.get(name, 0.0) + element.weight
     if head.parent_type == "BONE" and head.parent_bone in free:
         weights.setdefault(head.parent_bone, 1.0)
+    found = find_bones(free, weights)
+    looking = [bone.name for bone in posed_bones(armature) if looks_only(bone)]
+    turning = [*free, *(name for name in looking if aim_of(armature, name, found.head))]
     # A bone that moves no mesh is one at which an eye looks. In Rigify, that is `eye.L`, and `ORG-eye.L` moves the eye.
     moving, named = _bones_with_meshes(head), dict[str, str]()
-    for name in sorted(free, key=lambda name: not name.startswith("ORG-")):
+    for name in sorted(turning, key=lambda name: not name.startswith("ORG-")):
         plain = name.removeprefix("ORG-")
         one = find_bones([plain], {})
         if (one.eye_right or one.eye_left) and not moving.isdisjoint(_turned_by(armature, name)):
             named[plain] = name
-    found, eyes = find_bones(free, weights), find_bones(list(named), {})
+    eyes = find_bones(list(named), {})
     return replace(found, eye_right=named.get(eyes.eye_right, ""), eye_left=named.get(eyes.eye_left, ""))
 
 

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
 
+from facemime.blender.actions import baked_curves
 from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import own_targets
@@ -15,11 +16,59 @@ from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.characters import make_character, shown, turn_between
-from tests.helpers.takes import performance
+from tests.helpers.takes import coefficient_take, performance
+
+AIMS = {"of its own": ("eye.L", "eye.R"), "shared": ("eyes", "eyes")}
 
 
 @pytest.mark.parametrize("copies", [False, True])
-def test_the_bone_of_an_eye_turns_it_and_is_not_the_control_that_it_looks_at(copies):
+@pytest.mark.parametrize("aims", AIMS)
+@pytest.mark.parametrize("local", [True, False])
+def test_an_eye_is_turned_by_the_control_that_it_looks_at(copies, aims, local):
+    objects, armature = _looking_character("Head", copies=copies, aims=AIMS[aims])
+    for name in AIMS[aims]:
+        armature.data.bones[name].use_local_location = local
+    head, _ = bind_character(objects["head"])
+    armature.pose.bones[AIMS[aims][0]].location = (0.02, 0.0, -0.01)  # the user's own, to which the gaze is added
+    bpy.context.view_layer.update()
+    rest = shown(objects["eye_left"])
+    report = puppet_head(bpy.context.scene, head, coefficient_take(), targets=own_targets(head))
+    _assert_looks(report, rest, objects["eye_left"])
+    paths = {curve.data_path for curve in baked_curves(armature)}
+    assert {f'pose.bones["{name}"].location' for name in AIMS[aims]} <= paths
+    assert not any("ORG-" in path or "rotation" in path for path in paths if "eye" in path)
+    remove_baked(head, own_targets(head))
+    np.testing.assert_allclose(armature.pose.bones[AIMS[aims][0]].location, (0.02, 0.0, -0.01), atol=1e-7)
+
+
+@pytest.mark.parametrize("copies", [False, True])
+def test_the_bone_of_an_eye_turns_it_if_it_looks_at_a_place_in_the_world(copies):
+    objects, armature = _looking_character(None, copies=copies, aims=AIMS["of its own"])
+    head, _ = bind_character(objects["head"])
+    assert (read_bones(head)[1].eye_left, read_bones(head)[1].eye_right) == ("ORG-eye.L", "ORG-eye.R")
+    for side in "LR":
+        armature.pose.bones[f"MCH-eye.{side}"].constraints[0].mute = True
+    rest = shown(objects["eye_left"])
+    report = puppet_head(bpy.context.scene, head, coefficient_take(), targets=own_targets(head))
+    _assert_looks(report, rest, objects["eye_left"])
+
+
+def test_a_bone_of_an_eye_that_itself_looks_at_a_control_is_found():
+    objects, armature = _looking_character("Head", copies=False, aims=AIMS["of its own"])
+    for side, name in (("L", "left"), ("R", "right")):
+        objects[f"eye_{name}"].vertex_groups[0].name = f"MCH-eye.{side}"
+        armature.data.bones[f"eye.{side}"].name = f"look.{side}"
+        armature.data.bones[f"MCH-eye.{side}"].name = f"eye.{side}"
+    head, _ = bind_character(objects["head"])
+    assert read_bones(head)[1].eye_left == "eye.L"
+    assert own_targets(head)["eye_left"].bone == "look.L"
+    rest = shown(objects["eye_left"])
+    report = puppet_head(bpy.context.scene, head, coefficient_take(), targets=own_targets(head))
+    _assert_looks(report, rest, objects["eye_left"])
+
+
+def _looking_character(carrier, *, copies, aims):
+    """A character with Rigify's bones of eyes, which look at controls that `carrier` carries; and its armature."""
     objects = make_character(rig=True)
     armature = objects["head"].parent
     eyes = {side: objects[f"eye_{name}"] for side, name in (("L", "left"), ("R", "right"))}
@@ -27,32 +76,36 @@ def test_the_bone_of_an_eye_turns_it_and_is_not_the_control_that_it_looks_at(cop
     bpy.context.view_layer.objects.active = armature
     bpy.ops.object.mode_set(mode="EDIT")
     bones = armature.data.edit_bones
+    places = {name: middles[side] for name, side in zip(aims, "LR", strict=True)}
+    if len(places) == 1:
+        places = {aims[0]: np.mean(list(middles.values()), axis=0)}
+    made = [(name, middle, 0.3, carrier) for name, middle in places.items()]
     for side, middle in middles.items():
-        for name, away, parent in (
-            ("eye", 0.3, "Head"),
-            ("MCH-eye", 0.0, "Head"),
-            ("ORG-eye", 0.0, f"MCH-eye.{side}"),
-            ("DEF-eye", 0.0, "Head"),
-        ):
-            bone = bones.new(f"{name}.{side}")
-            bone.head = middle - (0.0, away, 0.0)
-            bone.tail = bone.head - Vector((0.0, 0.02, 0.0))
-            bone.parent = bones[parent]
+        made += [(f"MCH-eye.{side}", middle, 0.0, "Head"), (f"ORG-eye.{side}", middle, 0.0, f"MCH-eye.{side}")]
+        made += [(f"DEF-eye.{side}", middle, 0.0, "Head")]
+    for name, middle, away, parent in made:
+        bone = bones.new(name)
+        bone.head = middle - (0.0, away, 0.0)
+        bone.tail = bone.head - Vector((0.0, 0.02, 0.0))
+        bone.roll = 0.7 if away else 0.0
+        bone.parent = bones[parent] if parent else None
     bpy.ops.object.mode_set(mode="OBJECT")
-    for side, eye in eyes.items():
+    for (side, eye), aim in zip(eyes.items(), aims, strict=True):
         track = armature.pose.bones[f"MCH-eye.{side}"].constraints.new("DAMPED_TRACK")
-        track.target, track.subtarget = armature, f"eye.{side}"
+        track.target, track.subtarget = armature, aim
         eye.vertex_groups[0].name = f"DEF-eye.{side}" if copies else f"ORG-eye.{side}"
         copy = armature.pose.bones[f"DEF-eye.{side}"].constraints.new("COPY_TRANSFORMS")
         copy.target, copy.subtarget = armature, f"ORG-eye.{side}"
-    head, _ = bind_character(objects["head"])
-    assert (read_bones(head)[1].eye_left, read_bones(head)[1].eye_right) == ("ORG-eye.L", "ORG-eye.R")
-    rest = shown(eyes["L"])
-    report = puppet_head(bpy.context.scene, head, performance(), targets=own_targets(head))
-    row = int(np.argmax(np.abs(report.motion.rotation[:, 0, 2])))
+    return objects, armature
+
+
+def _assert_looks(report, rest, eye):
+    """Assert that an eye looks as the performer does, at the frame in which it is turned farthest."""
+    row = int(np.argmin(report.motion.gaze[:, 1, 2, 2]))
+    assert report.motion.gaze[row, 1, 2, 2] < np.cos(0.15)
     bpy.context.scene.frame_set(round(float(frames_of(bpy.context.scene, report.motion.times[row]))))
-    expected = report.motion.rotation[row] @ report.motion.gaze[row, 1]
-    np.testing.assert_allclose(turn_between(rest, shown(eyes["L"])), rotation_to_blender(expected), atol=0.06)
+    expected = rotation_to_blender(report.motion.rotation[row] @ report.motion.gaze[row, 1])
+    np.testing.assert_allclose(turn_between(rest, shown(eye)), expected, atol=0.06)
 
 
 def _bound_with_own_animation(*, driven: bool) -> tuple[bpy.types.Object, bpy.types.Object]:
