@@ -116,7 +116,7 @@ def test_a_bake_to_controls_contains_what_was_taught(rigged):
     assert moved[1:] == pytest.approx(
         [example.controls["Slider location z"], example.controls["lift property lift"]], abs=0.02
     )
-    assert corrected[2] == pytest.approx(wanted[2], abs=0.05)
+    assert corrected[2] == pytest.approx(wanted[2], abs=0.06)  # a bake is corrected twice, and the live rig once
 
 
 def test_a_running_puppet_sets_the_controls_as_they_were_taught(rigged, tmp_path):

@@ -118,7 +118,7 @@ def test_one_correction_brings_a_rig_nearer_that_moves_less_or_more_than_the_mod
     off = []
     for x in (first, solver.again(wanted, first, gain * np.einsum("k,ksc->sc", first, found.effects))):
         off.append(np.linalg.norm(gain * np.einsum("k,ksc->sc", x, found.effects) - wanted))
-    assert off[1] < max(0.5 * off[0], 0.05 * np.linalg.norm(wanted))
+    assert off[1] < max(0.6 * off[0], 0.05 * np.linalg.norm(wanted))
 
 
 def test_corrections_never_lead_away_from_a_face_that_the_model_does_not_foresee():
