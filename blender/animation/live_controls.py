@@ -33,6 +33,9 @@ _PATIENCE = 0.01
 """Seconds that an evaluation of the rig may take for the correction of each frame."""
 _EDITED = 1e-4
 """Smallest change of a channel that counts, in eye distances, radians, or the unit of a property."""
+_MOVED = 0.05
+"""Mean distance of the vertices of an evaluated mesh from those of the mesh at rest, in eye distances, above which
+modifiers have changed their order. Subdivision of the built-in head moves them by 0.009."""
 _FIRST = 5
 """Evaluations whose median decides."""
 
@@ -100,6 +103,9 @@ class LiveControls:
         """Set the controls to what `solve` has returned; raises HeadError if one was deleted."""
         if self._corrects and self._zero is None:
             self._zero = self._look(np.zeros(len(variables)))
+            if self._zero is not None:
+                off = np.linalg.norm(self._zero - self._rest, axis=1).mean()
+                self._corrects = off < _MOVED * self.found.unit
         moved = self._look(variables)
         if moved is not None and self._zero is not None:
             variables = self._correcting.again(wanted.reshape(-1, 3), variables, moved - self._zero)

@@ -114,12 +114,13 @@ class PosedFace:
 def look_at(head: bpy.types.Object, sample: IntArray) -> FloatArray | None:
     """Evaluate the rig, and return sampled vertices of a head, (S, 3), as `PosedFace` does, but with all its modifiers.
 
-    None if these change the number of vertices.
+    Modifiers that add vertices are taken to add them behind those of the mesh, as subdivisions, mirrors and shells do.
+    None if there are fewer.
     """
     bpy.context.view_layer.update()
     graph = bpy.context.evaluated_depsgraph_get()
     points = _points(head, graph)
-    if len(points) != len(mesh_of(head).vertices):
+    if len(points) < len(mesh_of(head).vertices):
         return None
     return from_blender(_placed(np.array(_pose_of_head(head, graph).inverted_safe()), points[sample]))
 
