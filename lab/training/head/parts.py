@@ -152,9 +152,9 @@ def _globe(radius: float) -> tuple[Points, NDArray[np.int64], NDArray[np.float64
     def ring(i: int, j: int) -> int:
         return 1 + i * s + j % s
 
-    faces = [[0, ring(0, j), ring(0, j + 1), -1] for j in range(s)]
-    faces += [[ring(i, j), ring(i + 1, j), ring(i + 1, j + 1), ring(i, j + 1)] for i in range(n - 1) for j in range(s)]
-    faces += [[1 + n * s, ring(n - 1, j + 1), ring(n - 1, j), -1] for j in range(s)]
+    faces = [[0, ring(0, j + 1), ring(0, j), -1] for j in range(s)]
+    faces += [[ring(i, j), ring(i, j + 1), ring(i + 1, j + 1), ring(i + 1, j)] for i in range(n - 1) for j in range(s)]
+    faces += [[1 + n * s, ring(n - 1, j), ring(n - 1, j + 1), -1] for j in range(s)]
     distance = eye_uv_radius(t)
     place = 0.5 + distance[:, None] * np.c_[np.cos(p), -np.sin(p)]
     rows = np.array(faces)

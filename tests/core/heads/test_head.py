@@ -103,6 +103,15 @@ def test_faces_of_the_skin_look_outwards(head):
     assert ((normals * centres).sum(axis=1)[forehead] > 0).mean() > 0.99
 
 
+@pytest.mark.parametrize("file", [None, WOMAN_FILE])
+def test_every_face_of_an_eye_looks_outwards(file):
+    for part in load_head(file).parts[:2]:
+        corners = part.vertices[part.faces[:, :3]].astype(float)
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        outwards = corners.mean(axis=1) - part.vertices.mean(axis=0)
+        assert part.name.startswith("eye") and (np.einsum("fc,fc->f", normals, outwards) > 0.0).all()
+
+
 def test_landmarks_are_distinct_vertices_and_mirror_each_other(head):
     points = head.vertices[head.landmarks]
     assert len(set(head.landmarks.tolist())) == 66
