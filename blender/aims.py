@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 import bpy
 
@@ -19,25 +19,45 @@ _CARRIES = 0.5
 """Influence of a constraint from which it decides."""
 
 
-def aim_of(armature: bpy.types.Object, eye: str, head: str) -> str:
-    """Return the name of the control at which the bone of an eye looks, however it is turned; "" without one.
+class Aim(NamedTuple):
+    """What an eye looks at: an object, or the bone of an armature that `bone` names."""
+
+    obj: bpy.types.Object
+    bone: str = ""
+
+
+def aim_of(armature: bpy.types.Object, eye: str, head: str) -> Aim | None:
+    """Return the control at which the bone of an eye looks, however it is turned; None without one.
 
     The control is free to move, and rides on the bone `head`, as the gaze of a performer is relative to the head.
     """
     bone, first = posed_bones(armature).get(eye), eye
     while bone is not None and _same_point(bone, posed_bones(armature)[first]):
         for constraint in bone.constraints:
-            if constraint.type in _TRACKING and (looked_at := _leader(constraint, armature)) is not None:
-                control = _control_of(looked_at, armature)
-                if control is not None and (not head or _rides_on(control, head, armature)):
-                    return control.name
+            if constraint.type in _TRACKING and (aim := _looked_at(constraint, armature, head)) is not None:
+                return aim
         bone = bone.parent
-    return ""
+    return None
 
 
 def looks_only(bone: bpy.types.PoseBone) -> bool:
     """Return whether a bone has constraints, all of which turn it toward something."""
     return bool(bone.constraints) and all(constraint.type in _TRACKING for constraint in bone.constraints)
+
+
+def _looked_at(constraint: Any, armature: bpy.types.Object, head: str) -> Aim | None:
+    """Return the control behind what a constraint tracks, if it can be moved and rides on the head."""
+    if (leader := _leader(constraint, armature)) is not None:
+        control = _control_of(leader, armature)
+        rides = control is not None and (not head or _rides_on(control, head, armature))
+        return Aim(armature, control.name) if control is not None and rides else None
+    obj = constraint.target
+    if constraint.mute or constraint.influence < _CARRIES or obj is None or constraint.subtarget:
+        return None
+    carrier = posed_bones(armature).get(obj.parent_bone) if obj.parent == armature else None
+    free = obj.library is None and not obj.constraints and not any(obj.lock_location)
+    rides = obj.parent_type == "BONE" and carrier is not None and _rides_on(carrier, head, armature)
+    return Aim(obj) if free and head and rides else None
 
 
 def _control_of(bone: bpy.types.PoseBone, armature: bpy.types.Object) -> bpy.types.PoseBone | None:

@@ -22,7 +22,7 @@ from ...core.face.landmarks import EYE_CORNERS
 from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
-from ..aims import aim_of
+from ..aims import Aim, aim_of
 from ..characters import (
     objects_of,
     own_rotation,
@@ -327,11 +327,24 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
             target = PoseTarget(armature, bone, head)
             target = replace(target, strength=_eye_strength(head, target, corners))
             aim = aim_of(armature, bone, bones.head)
-            targets[eye] = replace(target, bone=aim, looking=(bone,)) if aim else target
-    if len(targets) == 3 and targets["eye_left"].bone == targets["eye_right"].bone:
-        shared = targets.pop("eye_right")
-        targets["eye_left"] = replace(shared, looking=(*shared.looking, *targets["eye_left"].looking))
+            targets[eye] = target if aim is None else _moving(target, aim)
+    if len(targets) == 3 and targets["eye_left"].owner == targets["eye_right"].owner:
+        own, other = targets["eye_left"], targets.pop("eye_right")
+        if own.pivot is not None and other.pivot is not None:
+            middle = Vector(own.pivot).lerp(other.pivot, 0.5)
+            own = replace(own, pivot=(middle.x, middle.y, middle.z))
+        targets["eye_left"] = replace(own, looking=(*own.looking, *other.looking))
     return targets
+
+
+def _moving(eye: PoseTarget, aim: Aim) -> PoseTarget:
+    """Return the target that moves what an eye looks at, so that the eye turns."""
+    if aim.bone:
+        return replace(eye, bone=aim.bone, looking=(eye.bone,))
+    assert eye.head is not None
+    middle = rest_matrix(eye.obj) @ rest_bones(eye.obj)[eye.bone].head_local
+    pivot = rest_matrix(eye.head).inverted_safe() @ middle
+    return replace(eye, obj=aim.obj, bone="", pivot=(pivot.x, pivot.y, pivot.z))
 
 
 def _eye_strength(head: bpy.types.Object, target: PoseTarget, corners: IntArray) -> float:

@@ -74,7 +74,8 @@ def channels_of(head: bpy.types.Object) -> list[RigChannel]:
     posed, bones = read_bones(head)
     posing = {bones.head, bones.eye_left, bones.eye_right}
     if posed is not None:
-        posing |= {aim_of(posed, eye, bones.head) for eye in (bones.eye_left, bones.eye_right) if eye}
+        aims = [aim_of(posed, eye, bones.head) for eye in (bones.eye_left, bones.eye_right) if eye]
+        posing |= {aim.bone for aim in aims if aim is not None}
     for armature in armatures:
         driven = _driven_paths(armature)
         for bone in posed_bones(armature):

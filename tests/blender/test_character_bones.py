@@ -67,6 +67,31 @@ def test_a_bone_of_an_eye_that_itself_looks_at_a_control_is_found():
     _assert_looks(report, rest, objects["eye_left"])
 
 
+@pytest.mark.parametrize("shared", [True, False])
+def test_an_eye_that_looks_at_an_object_on_the_head_is_turned_by_it(shared):
+    objects, armature = _looking_character("Head", copies=False, aims=AIMS["of its own"])
+    eyes = {"L": objects["eye_left"], "R": objects["eye_right"]}
+    middles = {side: shown(eye).mean(axis=0) for side, eye in eyes.items()}
+    empties = {}
+    for side, middle in middles.items():
+        empties[side] = empty = bpy.data.objects.new(f"Look {side}", None)
+        bpy.context.scene.collection.objects.link(empty)
+        empty.parent, empty.parent_type, empty.parent_bone = armature, "BONE", "Head"
+        place = np.mean(list(middles.values()), axis=0) if shared else middle
+        bpy.context.view_layer.update()
+        empty.matrix_world = Matrix.Translation(Vector(place) - Vector((0.0, 0.3, 0.0)))
+    for side in eyes:
+        track = armature.pose.bones[f"MCH-eye.{side}"].constraints[0]
+        track.target, track.subtarget = empties["L" if shared else side], ""
+    bpy.context.view_layer.update()
+    head, _ = bind_character(objects["head"])
+    targets = own_targets(head)
+    assert targets["eye_left"].obj == empties["L"] and ("eye_right" in targets) != shared
+    rest = shown(objects["eye_left"])
+    report = puppet_head(bpy.context.scene, head, coefficient_take(), targets=targets)
+    _assert_looks(report, rest, objects["eye_left"])
+
+
 def _looking_character(carrier, *, copies, aims):
     """A character with Rigify's bones of eyes, which look at controls that `carrier` carries; and its armature."""
     objects = make_character(rig=True)
