@@ -21,17 +21,16 @@ _LIDS = 2.0
 """Weight of the openings of the eyes."""
 _LIPS = 2.0
 """Weight of the opening of the lips."""
-_PRIOR = 1.8e-3
-"""Weight of the squares of the variables, relative to the mean square of their effects. Chosen on the sample clip; with
-less, random poses of a rig and brows are shown better, but the skin between the brows creases, and with more than 2e-3
-random poses are shown worse."""
+_PRIOR = 2.5e-3
+"""Weight of the squares of the variables, relative to the mean square of their effects. Chosen on the sample clip; from
+3.5e-3 to 1e-3 takes are shown nearly alike, and random poses of a rig better and better, but skin creases."""
 _NARROW = 0.1
 """Motion by a control, relative to the median of all, below which it is not made heavier still."""
 _DOUBT = 10.0
 """Factor of that weight for what is not linear, for each square of its doubt."""
-_CORRECTING = 0.06
+_CORRECTING = 0.03
 """The same weight of what a correction changes: it mends what the rig is known to do there, which is less certain the
-weaker a control is. Chosen on the sample clip; with 0.2 lids are shown better still, but random poses worse."""
+weaker a control is. Chosen on the sample clip; with 0.1 lids are shown better still, but random poses worse."""
 _NEARER = 0.98
 """Square of the distance after a correction, relative to that before, below which it is taken: of two that are about
 as near, rounding would choose, and another one in the mirror."""
