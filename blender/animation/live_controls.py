@@ -105,7 +105,7 @@ class LiveControls:
             self._zero = self._look(np.zeros(len(variables)))
             if self._zero is not None:
                 off = np.linalg.norm(self._zero - self._rest, axis=1).mean()
-                self._corrects = off < _MOVED * self.found.unit
+                self._corrects &= bool(off < _MOVED * self.found.unit)
         moved = self._look(variables)
         if moved is not None and self._zero is not None:
             variables = self._correcting.again(wanted.reshape(-1, 3), variables, moved - self._zero)

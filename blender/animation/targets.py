@@ -22,7 +22,6 @@ from ...core.face.landmarks import EYE_CORNERS
 from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
-from ..aims import Aim, aim_of
 from ..characters import (
     objects_of,
     own_rotation,
@@ -33,6 +32,7 @@ from ..characters import (
     rest_matrix,
     rest_rotation,
 )
+from ..eye_bones import Aim, aim_of
 from ..frames import rotation_to_blender, to_blender
 from ..meshes import exists, mesh_of, posed_bones, read_places, read_vertices, rest_bones
 from ..names import PIVOT_PROPERTY

@@ -12,8 +12,8 @@ import numpy as np
 from ...core.errors import HeadError
 from ...core.face.landmarks import OUTER_EYE_CORNERS
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, RigChannel
-from ..aims import aim_of
 from ..characters import members_of, parent_matrix, read_bones
+from ..eye_bones import aim_of
 from ..fcurves import drivers_of
 from ..meshes import mesh_of, posed_bones, read_places, read_vertices
 from ..own_pose import ROTATIONS

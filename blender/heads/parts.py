@@ -18,8 +18,8 @@ from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.surface import NearestPoints, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..aims import aim_of, looks_only
 from ..characters import objects_of, parts_of, read_bones, read_kinds, rest_matrix, write_bones, write_kinds
+from ..eye_bones import aim_of, looks_only, turned_by
 from ..frames import from_blender, to_blender
 from ..meshes import (
     group_weights,
@@ -29,7 +29,6 @@ from ..meshes import (
     read_landmarks,
     read_places,
     read_vertices,
-    rest_bones,
 )
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
@@ -48,10 +47,6 @@ _REACH = 1.5
 """Distance from the skin, in outer-eye distances, beyond which an object does not belong to a head."""
 _OWN_SHARE = 0.5
 """Minimum share of the weights of a piece for a bone to be the bone of that piece."""
-_SAME_POINT = 0.1
-"""Distance between two bones, relative to the length of one, below which they turn about the same point."""
-_FOLLOWING = {"COPY_ROTATION", "COPY_TRANSFORMS", "CHILD_OF"}
-"""Constraints by which a bone turns with another."""
 
 
 @dataclass(frozen=True)
@@ -233,7 +228,7 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
     names = [name for name in (bones.eye_right, bones.eye_left) if name]
     if armature is None or not names:
         return [""] * len(group.pieces)
-    turned = {name: _turned_by(armature, name) for name in names}
+    turned = {name: turned_by(armature, name) for name in names}
     if group.obj.parent_type == "BONE":
         own = next((name for name in names if group.obj.parent_bone in turned[name]), "")
         if own:
@@ -268,31 +263,10 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
     for name in sorted(turning, key=lambda name: not name.startswith("ORG-")):
         plain = name.removeprefix("ORG-")
         one = find_bones([plain], {})
-        if (one.eye_right or one.eye_left) and not moving.isdisjoint(_turned_by(armature, name)):
+        if (one.eye_right or one.eye_left) and not moving.isdisjoint(turned_by(armature, name)):
             named[plain] = name
     eyes = find_bones(list(named), {})
     return replace(found, eye_right=named.get(eyes.eye_right, ""), eye_left=named.get(eyes.eye_left, ""))
-
-
-def _turned_by(armature: bpy.types.Object, name: str) -> list[str]:
-    """Return the names of a bone and of those that turn with it: by a constraint, or below it about the same point, but
-    not lids, nor what another constraint turns.
-    """
-    bone, turned = rest_bones(armature)[name], [name]
-    for leader in turned:  # which grows
-        for other in posed_bones(armature):
-            free = not other.constraints and other.parent is not None and other.parent.name == leader
-            near = (other.bone.head_local - bone.head_local).length < _SAME_POINT * bone.length
-            if other.name not in turned and ((free and near) or _follows(other, armature, leader)):
-                turned.append(other.name)
-    return turned
-
-
-def _follows(bone: bpy.types.PoseBone, armature: bpy.types.Object, leader: str) -> bool:
-    """Return whether a constraint turns a bone with another one."""
-    active = (each for each in bone.constraints if each.type in _FOLLOWING and not each.mute)
-    wanted = armature, leader
-    return any((getattr(each, "target", None), getattr(each, "subtarget", "")) == wanted for each in active)
 
 
 def _bones_with_meshes(head: bpy.types.Object) -> set[str]:

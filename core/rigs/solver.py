@@ -37,9 +37,6 @@ as near, rounding would choose, and another one in the mirror."""
 _STEADY = 5e-4
 """Weight of the squares of their changes from frame to frame, in the same unit."""
 
-_SAME = 1e-6
-"""Difference of displacements, in eye distances, and of variables, which is due to rounding."""
-
 Evaluate = Callable[[FloatArray], FloatArray]
 """Takes changes of the channels (C,), and returns how the rig itself moves the sampled vertices, (S, 3)."""
 
@@ -128,10 +125,7 @@ class RigSolver:
     def _was_asked(self, *question: FloatArray) -> bool:
         """Return whether the last question was the same, and note this one: a frame that stays is shown alike."""
         before, self._asked = self._asked, tuple(map(np.array, question))
-        return len(before) == len(question) and all(
-            np.allclose(one, other, rtol=0.0, atol=_SAME * self.map.unit)
-            for one, other in zip(before, question, strict=True)
-        )
+        return len(before) == len(question) and all(map(np.array_equal, before, question))
 
     def _bounded(self, products: FloatArray, before: FloatArray | None = None) -> FloatArray:
         """Solve within the bounds, (K,), one direction of each channel at a time; near the solution `before`, if it is

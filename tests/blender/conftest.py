@@ -21,6 +21,7 @@ from facemime.sessions.start import start_session
 from facemime.settings import storage
 from facemime.settings.performers import write_calibration
 from tests.helpers.clocks import AskedClock
+from tests.helpers.face_rigs import make_face_rig
 from tests.helpers.owners import UNDER_WINE
 from tests.helpers.scans import scanned
 from tests.helpers.takes import performance
@@ -85,6 +86,16 @@ def at_the_takes_rate():
 def true():
     """The landmarks of the built-in head."""
     return read_landmarks(add_head(bpy.context))
+
+
+@pytest.fixture
+def rigged():
+    """A head on a made rig, which is active."""
+    bpy.context.scene.render.fps = 25
+    head, armature = make_face_rig()
+    bpy.context.view_layer.objects.active = head
+    bpy.context.view_layer.update()
+    return head, armature
 
 
 @pytest.fixture

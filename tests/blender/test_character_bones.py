@@ -46,6 +46,7 @@ def test_the_bone_of_an_eye_turns_it_if_it_looks_at_a_place_in_the_world(copies)
     objects, armature = _looking_character(None, copies=copies, aims=AIMS["of its own"])
     head, _ = bind_character(objects["head"])
     assert (read_bones(head)[1].eye_left, read_bones(head)[1].eye_right) == ("ORG-eye.L", "ORG-eye.R")
+    assert own_targets(head)["eye_left"].bone == "ORG-eye.L"
     for side in "LR":
         armature.pose.bones[f"MCH-eye.{side}"].constraints[0].mute = True
     rest = shown(objects["eye_left"])

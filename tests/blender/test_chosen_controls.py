@@ -13,9 +13,8 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
-from facemime.sessions.show import TakeShow
 from facemime.sessions.start import follow_settings, start_session
-from tests.helpers.face_rigs import make_face_rig, state
+from tests.helpers.face_rigs import show, state
 from tests.helpers.live_ticks import wait_for
 from tests.helpers.takes import performance
 
@@ -23,20 +22,10 @@ pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
 
 @pytest.fixture
-def rigged():
+def rigged(rigged):
     """A head on a made rig, whose controls are known, and which is active."""
-    bpy.context.scene.render.fps = 25
-    head, armature = make_face_rig()
-    bpy.context.view_layer.objects.active = head
-    bpy.context.view_layer.update()
-    write_controls(head, learn_controls(head))
-    return head, armature
-
-
-def show(head):
-    """Preview the performance on the head by its controls."""
-    bpy.context.scene.facemime.drive_by = "CONTROLS"
-    return TakeShow(bpy.context.scene, [head], performance())
+    write_controls(rigged[0], learn_controls(rigged[0]))
+    return rigged
 
 
 def test_a_control_that_is_switched_off_stops_at_once_in_a_preview(rigged):

@@ -22,29 +22,12 @@ from facemime.core.errors import HeadError
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.rigs.rig_map import LOCATION, ROTATION, SCALE
 from facemime.core.takes.file import save_take
-from facemime.sessions.show import TakeShow
 from facemime.sessions.start import start_session
-from tests.helpers.face_rigs import make_face_rig, state
+from tests.helpers.face_rigs import bake, make_face_rig, show, state
 from tests.helpers.live_ticks import wait_for
 from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
-
-
-@pytest.fixture
-def rigged():
-    """A head on a made rig, which is active."""
-    bpy.context.scene.render.fps = 25
-    head, armature = make_face_rig()
-    bpy.context.view_layer.objects.active = head
-    bpy.context.view_layer.update()
-    return head, armature
-
-
-def bake(head, **options):
-    """Bake the performance to the controls."""
-    settings = PuppetSettings(bake=BakeSettings(keys="controls", **options), neutral=0.0)
-    return puppet_head(bpy.context.scene, head, performance(), settings)
 
 
 def path_of_turn(armature):
@@ -220,12 +203,6 @@ def test_curves_are_grouped_by_region(rigged):
     bake(head)
     groups = {curve.group.name for curve in curves_in(armature.animation_data) if curve.group is not None}
     assert {"Mouth", "Eyes", "Brows"} <= groups
-
-
-def show(head, by="CONTROLS"):
-    """Preview the performance on the head."""
-    bpy.context.scene.facemime.drive_by = by
-    return TakeShow(bpy.context.scene, [head], performance())
 
 
 def test_a_preview_moves_the_controls_and_puts_them_back(rigged):

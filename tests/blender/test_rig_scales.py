@@ -8,19 +8,9 @@ from facemime.blender.animation.live_controls import clear_controls
 from facemime.blender.controls.probing import learn_controls
 from facemime.blender.controls.stored import write_controls
 from facemime.core.rigs.rig_map import SCALE
-from tests.blender.test_rig_controls import bake, show
-from tests.helpers.face_rigs import make_face_rig
+from tests.helpers.face_rigs import bake, show
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
-
-
-@pytest.fixture
-def rigged():
-    """A head on a made rig, which is active."""
-    bpy.context.scene.render.fps = 25
-    head, armature = make_face_rig()
-    bpy.context.view_layer.objects.active = head
-    return head, armature
 
 
 def test_of_scales_only_those_of_the_lips_are_used(rigged):

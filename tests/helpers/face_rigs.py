@@ -2,21 +2,41 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector
 
+from facemime.blender.animation.bake_report import PuppetReport
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.characters import write_bones
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import mesh_of, read_places, read_regions, read_vertices
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.face.landmarks import BROWS, CHIN, LIPS, LOWER_LIDS, UPPER_LIDS
 from facemime.core.heads.part_names import FaceBones
+from facemime.core.puppet.puppet_settings import PuppetSettings
+from facemime.sessions.show import TakeShow
+from tests.helpers.takes import performance
 
 _REACH = 0.3
 """Reach of a bone, in eye distances."""
 BLINK, KEY = "eyeBlinkLeft", "browInnerUp"
 """Shape keys that a slider and a property drive."""
+
+
+def show(head: bpy.types.Object, by: str = "CONTROLS") -> TakeShow:
+    """Preview the performance on the head, by its controls or otherwise."""
+    bpy.context.scene.facemime.drive_by = by
+    return TakeShow(bpy.context.scene, [head], performance())
+
+
+def bake(head: bpy.types.Object, **options: Any) -> PuppetReport:
+    """Bake the performance to the controls of the head."""
+    settings = PuppetSettings(bake=BakeSettings(keys="controls", **options), neutral=0.0)
+    return puppet_head(bpy.context.scene, head, performance(), settings)
 
 
 def make_face_rig(seed: int = 0, scale: float = 1.0) -> tuple[bpy.types.Object, bpy.types.Object]:

@@ -1,4 +1,4 @@
-"""What the bones of eyes look at: the control that animators move, in place of the bone that turns."""
+"""Bones of eyes: those that turn with one, and the control at which it looks, which animators move instead."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ _TRACKING = {"DAMPED_TRACK", "TRACK_TO", "LOCKED_TRACK"}
 """Constraints that turn a bone toward another one."""
 _COPYING = {"COPY_LOCATION", "COPY_TRANSFORMS", "CHILD_OF"}
 """Constraints by which a bone is carried by another one."""
+_TURNING = {"COPY_ROTATION", "COPY_TRANSFORMS", "CHILD_OF"}
+"""Constraints by which a bone turns with another one."""
 _SAME_POINT = 0.1
 """Distance between the heads of two bones, relative to the length of one, below which they are at the same point."""
 _CARRIES = 0.5
@@ -31,13 +33,29 @@ def aim_of(armature: bpy.types.Object, eye: str, head: str) -> Aim | None:
 
     The control is free to move, and rides on the bone `head`, as the gaze of a performer is relative to the head.
     """
-    bone, first = posed_bones(armature).get(eye), eye
-    while bone is not None and _same_point(bone, posed_bones(armature)[first]):
+    first = posed_bones(armature)[eye]
+    bone: bpy.types.PoseBone | None = first
+    while bone is not None and _same_point(bone, first):
         for constraint in bone.constraints:
             if constraint.type in _TRACKING and (aim := _looked_at(constraint, armature, head)) is not None:
                 return aim
         bone = bone.parent
     return None
+
+
+def turned_by(armature: bpy.types.Object, name: str) -> list[str]:
+    """Return the names of a bone and of those that turn with it: by a constraint, or below it about the same point, but
+    not lids, nor what another constraint turns.
+    """
+    first, turned = posed_bones(armature)[name], [name]
+    for leader in turned:  # which grows
+        for other in posed_bones(armature):
+            below = not other.constraints and other.parent is not None and other.parent.name == leader
+            leads = (_leader(each, armature) for each in other.constraints if each.type in _TURNING)
+            follows = any(bone is not None and bone.name == leader for bone in leads)
+            if other.name not in turned and (follows or (below and _same_point(other, first))):
+                turned.append(other.name)
+    return turned
 
 
 def looks_only(bone: bpy.types.PoseBone) -> bool:
@@ -49,15 +67,14 @@ def _looked_at(constraint: Any, armature: bpy.types.Object, head: str) -> Aim | 
     """Return the control behind what a constraint tracks, if it can be moved and rides on the head."""
     if (leader := _leader(constraint, armature)) is not None:
         control = _control_of(leader, armature)
-        rides = control is not None and (not head or _rides_on(control, head, armature))
-        return Aim(armature, control.name) if control is not None and rides else None
+        return None if control is None or not _rides_on(control, head, armature) else Aim(armature, control.name)
     obj = constraint.target
     if constraint.mute or constraint.influence < _CARRIES or obj is None or constraint.subtarget:
         return None
     carrier = posed_bones(armature).get(obj.parent_bone) if obj.parent == armature else None
     free = obj.library is None and not obj.constraints and not any(obj.lock_location)
     rides = obj.parent_type == "BONE" and carrier is not None and _rides_on(carrier, head, armature)
-    return Aim(obj) if free and head and rides else None
+    return Aim(obj) if free and rides else None
 
 
 def _control_of(bone: bpy.types.PoseBone, armature: bpy.types.Object) -> bpy.types.PoseBone | None:
