@@ -7,6 +7,7 @@ properties of the head.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -71,18 +72,44 @@ class Member:
 
 def members_of(head: bpy.types.Object) -> list[Member]:
     """Return the meshes that a performance moves: the head, and those that have vertices of moving parts."""
+    moved = [obj for obj in objects_of(head) if np.isin(_rigid(head, read_kinds(mesh_of(obj))), _MOVED).any()]
+    return _members(head, moved)
+
+
+def whole_face(head: bpy.types.Object) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the rest positions (B, 3) of all meshes of a face in the head frame, those of `members_of` first, and the
+    faces between them (F, K).
+    """
+    moved = [member.obj for member in members_of(head)[1:]]
+    still = [obj for obj in objects_of(head) if obj not in moved]
+    return _at_rest(_members(head, [*moved, *still]))
+
+
+def _members(head: bpy.types.Object, objects: Sequence[bpy.types.Object]) -> list[Member]:
+    """Return a head and other meshes of its face, one after the other."""
     start = len(mesh_of(head).vertices)
     members = [Member(head, slice(0, start), np.column_stack([HEAD_TO_BLENDER, np.zeros(3)]))]
     to_head = rest_matrix(head).inverted_safe()
-    for obj in objects_of(head):
-        if not np.isin(_rigid(head, read_kinds(mesh_of(obj))), _MOVED).any():
-            continue
+    for obj in objects:
         to_mesh = np.array((to_head @ rest_matrix(obj)).inverted_safe())[:3]
         to_mesh[:, :3] = to_mesh[:, :3] @ HEAD_TO_BLENDER
         stop = start + len(mesh_of(obj).vertices)
         members.append(Member(obj, slice(start, stop), to_mesh))
         start = stop
     return members
+
+
+def _at_rest(members: Sequence[Member]) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """Return the rest positions (N, 3) of members in the head frame, and the faces of these (F, K)."""
+    places, faces = [np.empty((0, 3), dtype=np.float32)], [np.empty((0, 3), dtype=np.int32)]
+    for member in members:
+        back = linalg.inv(np.vstack([member.to_mesh, [0.0, 0.0, 0.0, 1.0]]))[:3]
+        mesh = mesh_of(member.obj)
+        own = cv2.transform(to_blender(read_vertices(mesh)).reshape(1, -1, 3), back)
+        places.append(np.asarray(own, dtype=np.float32).reshape(-1, 3))
+        corners = read_faces(mesh)
+        faces.append(np.where(corners >= 0, corners + member.part.start, -1))
+    return np.concatenate(places), _stacked(faces)
 
 
 def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
@@ -159,15 +186,7 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
         kinds[:] = np.where(np.arange(len(kinds)) < len(mesh_of(head).vertices), Part.SKIN, Part.ON_HEAD)
     if not kinds.any():
         return None
-    others, faces = [np.empty((0, 3), dtype=np.float32)], [np.empty((0, 3), dtype=np.int32)]
-    for member in members[1:]:
-        back = linalg.inv(np.vstack([member.to_mesh, [0.0, 0.0, 0.0, 1.0]]))[:3]
-        mesh = mesh_of(member.obj)
-        places = cv2.transform(to_blender(read_vertices(mesh)).reshape(1, -1, 3), back)
-        others.append(np.asarray(places, dtype=np.float32).reshape(-1, 3))
-        own = read_faces(mesh)
-        faces.append(np.where(own >= 0, own + member.part.start, -1))
-    return FaceParts(kinds, np.concatenate(others), _stacked(faces))
+    return FaceParts(kinds, *_at_rest(members[1:]))
 
 
 def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -124,6 +124,11 @@ class MeshKeys:
         rows = [self.names.index(name) for name in names]
         return MeshKeys(tuple(names), self.offsets[rows], self.lower[rows], self.upper[rows])
 
+    def within(self, ranges: Mapping[str, tuple[float, float]]) -> MeshKeys:
+        """Return the keys with other ranges."""
+        lower, upper = np.array([ranges[name] for name in self.names]).reshape(-1, 2).T
+        return replace(self, lower=lower, upper=upper)
+
     def joined(self, other: MeshKeys) -> MeshKeys:
         """Return the keys of both."""
         return MeshKeys(
@@ -316,10 +321,18 @@ def bake_values(
                 for name, curve in curves.items()
                 if name in own_keys.key_blocks and curve.data_path not in following
             ]
+            _make_room(own_keys, own)
             own += _beneath_corrections(own_keys, own, len(frames))
             name = f"{obj.name} Expression"
             silenced += write_curves(own_keys, name, frames, own, action=action, nla=nla, add=keep, leave_drivers=keep)
     return silenced
+
+
+def _make_room(keys: bpy.types.Key, curves: Sequence[Curve]) -> None:
+    """Extend the ranges of keys that have to exceed them to shut the eyes, as values are clipped to them."""
+    highest = {curve.data_path: float(curve.values.max(initial=0.0)) for curve in curves}
+    for key in keys.key_blocks:
+        key.slider_max = max(key.slider_max, highest.get(value_path(key.name), 0.0))
 
 
 def _beneath_corrections(keys: bpy.types.Key, curves: Sequence[Curve], frames: int) -> list[Curve]:

@@ -15,11 +15,12 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.bake.own_keys import lid_factors
 from ...core.drive.teaching import TaughtKeys
 from ...core.errors import HeadError
 from ...core.heads.key_map import KeyMap
 from ...core.puppet.outputs import LiveKeys
-from ..characters import members_of
+from ..characters import members_of, whole_face
 from ..meshes import driven_by_keys, exists
 from ..names import VALUES_PROPERTY
 from ..styles import read_style
@@ -52,8 +53,15 @@ def live_keys(obj: bpy.types.Object, choice: str, table: KeyMap | None = None) -
     used = [name for name in chosen.keys if name in keys.names]
     added = [name for name in TaughtKeys(read_style(obj)).names if name in keys.names and name not in used]
     used += added
-    offsets, rest = dict(zip(keys.names, keys.offsets, strict=True)), resting_values(members, added)
-    return LiveKeys(chosen, {name: offsets[name] for name in used}, {name: keys.ranges[name] for name in used}, rest)
+    offsets = dict(zip(keys.names, keys.offsets, strict=True))
+    left, right = lid_factors(*whole_face(obj), chosen, offsets).tolist()
+    return LiveKeys(
+        chosen,
+        {name: offsets[name] for name in used},
+        {name: keys.ranges[name] for name in used},
+        rest=resting_values(members, added),
+        lids=(left, right),
+    )
 
 
 def names_of(keys: LiveKeys | None) -> tuple[str, ...]:
@@ -77,6 +85,7 @@ class LiveValues:
             if name in blocks and value_path(name) not in following
         }
         self._names = [names[number] for number in self._places.values()]
+        self._extended: dict[str, float] = {}
 
     def attach(self) -> None:
         """Remember the values, and set aside what animates or drives them."""
@@ -94,17 +103,29 @@ class LiveValues:
         for place, number in self._places.items():
             wanted[place] = values[number]
         if not np.array_equal(every, wanted):
+            self._make_room(values)
             blocks.foreach_set("value", wanted)
             first = blocks[next(iter(self._places))]
             first.value = first.value  # a bulk write does not update the scene
 
+    def _make_room(self, values: NDArray[Any]) -> None:
+        """Extend the ranges of keys that have to exceed them to shut the eyes, as values are clipped to them."""
+        for place, number in self._places.items():
+            if values[number] > (block := self._keys.key_blocks[place]).slider_max:
+                self._extended.setdefault(block.name, block.slider_max)
+                block.slider_max = values[number]
+
     def detach(self, *, keep: bool) -> None:
-        """Restore the values, or leave them as they are if `keep`, and what was set aside."""
+        """Restore the values and ranges, or leave them as they are if `keep`, and what was set aside."""
         if not exists(self._keys):
             return
         if keep:
             self._keys.pop(VALUES_PROPERTY, None)
         clear_values(self._keys)
+        if not keep:
+            for name, highest in self._extended.items():
+                if (block := self._keys.key_blocks.get(name)) is not None:
+                    block.slider_max = highest
         restore(self._keys)
 
 

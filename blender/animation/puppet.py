@@ -9,9 +9,10 @@ from functools import partial
 import bpy
 import numpy as np
 
-from ...core.bake.arkit import arkit_coefficients, look_factors
+from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
 from ...core.bake.fit import MotionBasis, fit_basis, fit_weights, left_over, mix_errors
+from ...core.bake.own_keys import lid_factors, look_factors, reaching
 from ...core.bake.point_cache import SUFFIX
 from ...core.drive.driver import HeadMotion, drive_take
 from ...core.drive.teaching import TaughtKeys
@@ -22,7 +23,7 @@ from ...core.numeric.arrays import FloatArray
 from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
-from ..characters import members_of, objects_of
+from ..characters import members_of, objects_of, whole_face
 from ..controls.checks import loose_parts
 from ..fcurves import CharacterAction
 from ..heads.new_heads import add_missing_units, built_in_head_of
@@ -244,17 +245,19 @@ def _mapped(
     timing: Timing,
     unit: float,
     bake: BakeSettings,
-    performed: tuple[Callable[[FloatArray], FloatArray], Sequence[FloatArray]],
+    performed: tuple[Callable[[FloatArray, FloatArray], FloatArray], Sequence[FloatArray]],
 ) -> tuple[HeadMotion, Plan]:
     """Plan a bake by a mapping of what was `performed`: the coefficients (N, 52), given the factors of the eyes'
-    directions, and N expressions, which are corrected as was taught. The motion of a head that has no other is that of
-    its keys.
+    directions and of blinks, and N expressions, which are corrected as was taught. The motion of a head that has no
+    other is that of its keys.
     """
     members, taught = members_of(obj), TaughtKeys(rig.style)
     keys, (solved, expressions) = read_keys(members), performed
     table = table_for(obj, bake.table)
-    looks = look_factors(rig, table, dict(zip(keys.names, keys.offsets, strict=True)))
-    values = table.apply(solved(looks), keys.ranges)
+    offsets = dict(zip(keys.names, keys.offsets, strict=True))
+    looks, lids = look_factors(rig, table, offsets), lid_factors(*whole_face(obj), table, offsets)
+    keys = keys.within(reaching(keys.ranges, table, lids))
+    values = table.apply(solved(looks, lids), keys.ranges)
     values = taught.corrected(values, expressions, keys.ranges, resting_values(members, taught.names))
     if not values:
         raise HeadError(

@@ -5,12 +5,11 @@ They serve other programs, tables and key mappings; a head that is driven direct
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..drive.actions import ActionDriver
 from ..drive.drive_settings import DriveSettings, PosingSettings
@@ -19,10 +18,8 @@ from ..drive.retarget import retargeter_for
 from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.names import ACTIONS, COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED, action_indices
-from ..face.rotation import euler_to_matrix, fit_rotation, limit_rotation
-from ..heads.built_in import LOOK_ANGLES, LOOKS, load_head, looks_of
-from ..heads.key_map import KeyMap
-from ..heads.rig import HeadRig, Part
+from ..face.rotation import euler_to_matrix, limit_rotation
+from ..heads.built_in import LOOKS, load_head, looks_of
 from ..numeric.arrays import FloatArray
 from ..numeric.linalg import multiply
 from ..takes.face_space import without_similarity
@@ -31,17 +28,9 @@ from ..takes.take import Take
 from ..tracking.result import TrackResult, mirror_result
 from .coefficients import CoefficientSolver, has_actions, load_coefficient_model
 from .fit import fit_keys
+from .own_keys import BLINKS
 
-__all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of", "look_factors"]
-
-_LEAST_MOTION = 0.005
-"""Motion by a key, in eye distances, from which a vertex counts as moved: the front of an eye turns by 1.4 degrees."""
-_LEAST_VERTICES = 8
-"""Smallest number of vertices of an eyeball."""
-_LARGEST_MISFIT = 0.2
-"""Largest share of a key's motion of an eyeball that is no rotation; on an avatar with keys of 23 degrees it is 0.1."""
-_MOST = 3.0
-"""Largest factor between the angle of a key and a phone's: beyond it, the key's range would end too soon."""
+__all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of"]
 
 
 class Observer:
@@ -147,7 +136,11 @@ by 7.1 and 9.7 % of the eye distance, and those that phones mean by 13.1 and 13.
 
 
 def arkit_coefficients(
-    take: Take, neutral: Neutral, options: DriveSettings = _DEFAULTS, looks: FloatArray | None = None
+    take: Take,
+    neutral: Neutral,
+    options: DriveSettings = _DEFAULTS,
+    looks: FloatArray | None = None,
+    lids: FloatArray | None = None,
 ) -> FloatArray:
     """Compute ARKit's coefficients of a take.
 
@@ -161,6 +154,9 @@ def arkit_coefficients(
         Strength, mirror, the settings of the eyes, and whether only landmarks count; other settings are not used.
     looks : (8,) float64, optional
         Factors of the eyes' directions, from `look_factors`, for the keys of a head; by default those of a phone.
+    lids : (2,) float64, optional
+        Factors of the left and the right blink, from `lid_factors`, which are above 1 if keys leave eyes open at 1. The
+        result then contains blinks above 1.
 
     Returns
     -------
@@ -193,7 +189,7 @@ def arkit_coefficients(
     known = np.isfinite(stated).all(axis=1)
     if not known.all():
         found = _found(observer, results)
-        stated[~known] = found[~known] if looks is None else _scaled(found[~known], looks)
+        stated[~known] = _scaled(found[~known], looks, lids)
     return stated
 
 
@@ -216,21 +212,26 @@ class FrameCoefficients:
     The neutral face is the performer's, not mirrored.
     """
 
-    def __init__(self, neutral: Neutral, options: DriveSettings, looks: FloatArray | None = None) -> None:
+    def __init__(
+        self,
+        neutral: Neutral,
+        options: DriveSettings,
+        looks: FloatArray | None = None,
+        lids: FloatArray | None = None,
+    ) -> None:
         posing = PosingSettings(eyes_strength=options.posing.eyes_strength, eyes_limit=options.posing.eyes_limit)
-        self._looks = looks
+        self._looks, self._lids = looks, lids
         self._observer = Observer(neutral, replace(options, posing=posing))
         self._measured = neutral.measured
         self._near = np.zeros((1, len(FITTED)))
 
     def of(self, result: TrackResult) -> FloatArray:
-        """Return the coefficients, (52,), 0 to 1, of a frame with a face. Frames have to be passed in order."""
+        """Return the coefficients, (52,), of a frame with a face. Frames have to be passed in order."""
         result = self._observer.mirrored(result)
         stated = self._observer.stated(result)
         if np.isfinite(stated).all():
             return stated
-        found = self._found(result)
-        return np.asarray((found if self._looks is None else _scaled(found, self._looks))[0])
+        return np.asarray(_scaled(self._found(result), self._looks, self._lids)[0])
 
     def _found(self, result: TrackResult) -> FloatArray:
         """Fit the coefficients (1, 52) of a frame."""
@@ -243,37 +244,12 @@ class FrameCoefficients:
         return _with_measured(found, self._observer.shown(result)[None])
 
 
-def look_factors(rig: HeadRig, table: KeyMap, offsets: Mapping[str, NDArray[np.float32]]) -> FloatArray:
-    """Return by what to multiply the coefficients of `LOOKS`, (8,), so that keys turn eyes as far as the performer's.
-
-    `offsets` are displacements of `rig.all_vertices`. A factor is 1 where keys turn no eyeball, and where the user has
-    chosen a gain.
-    """
-    factors, apart = np.ones(len(LOOKS)), rig.kinds != Part.SKIN
-    for place, (column, (_, axis, angle)) in enumerate(zip(LOOKS.tolist(), LOOK_ANGLES, strict=True)):
-        rows = [row for row in table.rows if row.source == COEFFICIENTS[column] and row.key in offsets]
-        if not rows or any(abs(row.gain) != 1.0 for row in rows):
-            continue
-        motion = np.sum([row.gain * offsets[row.key] for row in rows], axis=0)
-        turning = np.flatnonzero(apart & (np.linalg.norm(motion, axis=1) > _LEAST_MOTION * rig.eye_distance))
-        if len(turning) < _LEAST_VERTICES:
-            continue
-        rest = rig.all_vertices[turning].astype(np.float64)
-        moved = rest + motion[turning]
-        rest, moved = rest - rest.mean(axis=0), moved - moved.mean(axis=0)
-        rotation = fit_rotation(rest, moved)
-        if np.linalg.norm(moved - rest @ rotation.T) > _LARGEST_MISFIT * np.linalg.norm(moved - rest):
-            continue  # lashes, or both eyes by one key
-        forward = -rotation[:, 2]
-        turned = float(np.arctan2(forward[axis], -forward[2]))
-        if turned * angle > 0.0:
-            factors[place] = np.clip(angle / turned, 1.0 / _MOST, _MOST)
-    return factors
-
-
-def _scaled(coefficients: FloatArray, looks: FloatArray) -> FloatArray:
-    """Scale the directions of the eyes in coefficients (N, 52), in place."""
-    coefficients[:, LOOKS] = np.clip(coefficients[:, LOOKS] * looks, 0.0, 1.0)
+def _scaled(coefficients: FloatArray, looks: FloatArray | None, lids: FloatArray | None) -> FloatArray:
+    """Scale the directions of the eyes and the blinks in coefficients (N, 52), in place."""
+    if looks is not None:
+        coefficients[:, LOOKS] = np.clip(coefficients[:, LOOKS] * looks, 0.0, 1.0)
+    if lids is not None:
+        coefficients[:, BLINKS] *= lids
     return coefficients
 
 

@@ -11,7 +11,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from ..bake.arkit import FrameCoefficients, look_factors
+from ..bake.arkit import FrameCoefficients
+from ..bake.own_keys import look_factors, reaching
 from ..drive.drive_settings import DriveSettings
 from ..drive.driver import HeadDriver, HeadFrame
 from ..drive.teaching import TaughtKeys
@@ -37,12 +38,15 @@ class LiveKeys:
         Smallest and largest value of each key.
     rest : dict of str to float
         Values at rest of keys that are not in the mapping but were taught; by default 0.
+    lids : (float, float)
+        Factors of the left and the right blink that shut the eyes, from `lid_factors`.
     """
 
     table: KeyMap
     offsets: dict[str, NDArray[np.float32]]
     ranges: dict[str, tuple[float, float]]
     rest: dict[str, float] = field(default_factory=dict)
+    lids: tuple[float, float] = (1.0, 1.0)
 
 
 class KeyDriver:
@@ -50,15 +54,16 @@ class KeyDriver:
 
     def __init__(self, head: HeadDriver, neutral: Neutral, keys: LiveKeys) -> None:
         self.head, self.keys = head, keys
-        looks = look_factors(head.rig, keys.table, keys.offsets)
-        self._coefficients = FrameCoefficients(neutral, head.options, looks)
+        looks, lids = look_factors(head.rig, keys.table, keys.offsets), np.array(keys.lids)
+        self._ranges = reaching(keys.ranges, keys.table, lids)
+        self._coefficients = FrameCoefficients(neutral, head.options, looks, lids)
         self.taught = TaughtKeys(head.rig.style)
 
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
         posed = self.head.frame(result)
-        values = self.keys.table.apply(self._coefficients.of(result)[None], self.keys.ranges)
-        values = self.taught.corrected(values, [self.head.expression(result)], self.keys.ranges, self.keys.rest)
+        values = self.keys.table.apply(self._coefficients.of(result)[None], self._ranges)
+        values = self.taught.corrected(values, [self.head.expression(result)], self._ranges, self.keys.rest)
         vertices = np.array(self.head.rest, dtype=np.float32)
         for name, (value,) in values.items():
             if value != 0.0:

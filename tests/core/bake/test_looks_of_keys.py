@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.bake.arkit import look_factors
+from facemime.core.bake.own_keys import look_factors
 from facemime.core.face.names import COEFFICIENTS
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import EYE_REACH, LOOKS
