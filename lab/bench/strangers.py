@@ -7,7 +7,8 @@ was chosen on one of them has to hold on the other. `--ablate` shows, on each ha
 *Within* a clip, the features of the driven built-in head are compared with those of the peer's landmarks (correlation
 and slope, medians over the clips in which the peer sees motion). *Across* clips, they are compared with the peer's
 coefficients by rank: these know no neutral face of the clip, so a wrong neutral face counts. *Shut* is the share of
-frames with shut lips, by the peer, in which the avatar's are shut. The peer is a reader, not the truth.
+frames with shut lips, by the peer, in which the avatar's are shut. ARKit's coefficients of both are compared both ways.
+The peer is a reader, not the truth.
 """
 
 from __future__ import annotations
@@ -21,9 +22,11 @@ from typing import Any
 
 import numpy as np
 
+from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive import retarget
 from facemime.core.drive.driver import drive_take
 from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, outer_eye_distance
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
@@ -56,6 +59,10 @@ _FEWEST = 30
 """Smallest number of frames that both find in a clip."""
 _PEER_SHUT = 0.0156
 """Gap of the peer's lips below which they are shut, in outer-eye distances."""
+_STATED = 0.05
+"""Standard deviation above which a coefficient of the peer's moves in a clip."""
+_MOVING = 3
+"""Smallest number of clips on each half in which the peer's moves, for a coefficient to have figures within clips."""
 _SHUT = 0.03
 """Gap of the avatar's lips below which they are shut."""
 ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
@@ -90,6 +97,11 @@ class Clip:
     coefficients: Mapping[str, np.ndarray]
     seen: np.ndarray
 
+    @property
+    def sampled(self) -> np.ndarray:
+        """About `_SAMPLED` of the frames `seen`."""
+        return self.seen[:: max(1, len(self.seen) // _SAMPLED)]
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Measure and print."""
@@ -114,13 +126,19 @@ def main(argv: Sequence[str] | None = None) -> int:
         for half, chosen in halves.items():
             avatar = [(clips[name], shown[name], rest) for name in chosen]
             measured[half][rule] = {"across": across(avatar), "within": within(avatar), "shut": shut_lips(avatar)}
+    mean = np.median(np.concatenate([clip.points[clip.sampled] for clip in clips.values()]), axis=0)
     for half, chosen in halves.items():
         for rule, face in simple_rules().items():
             shapes = [
                 (clips[name], clips[name].take.shape.astype(np.float64), face(clips[name].take)) for name in chosen
             ]
             measured[half][rule] = {"across": across(shapes)}
-    finish(arguments, list(_tables(measured)), {"halves": halves, "measured": measured})
+        peers = [(clips[name], clips[name].points, mean) for name in chosen]
+        measured[half]["the other program's landmarks, their mean"] = {"across": across(peers)}
+    found = {name: arkit_coefficients(clip.take, calibrate(clip.take)) for name, clip in clips.items()}
+    stated = {half: stated_alike([(clips[name], found[name]) for name in chosen]) for half, chosen in halves.items()}
+    tables = [*_tables(measured), _table_of_coefficients(list(stated.values()))]
+    finish(arguments, tables, {"halves": halves, "measured": measured, "coefficients": stated})
     return 0
 
 
@@ -182,7 +200,7 @@ def across(reads: Sequence[Read]) -> dict[str, float]:
     """Rank correlation of features with the peer's coefficients, over frames of all clips."""
     pooled: dict[str, tuple[list[float], list[float]]] = {name: ([], []) for name in ACROSS}
     for clip, shown, rest in reads:
-        frames = clip.seen[:: max(1, len(clip.seen) // _SAMPLED)]
+        frames = clip.sampled
         moved = features(shown, rest)
         both = {
             "brow": 0.5 * (moved["brow_l"] + moved["brow_r"]),
@@ -206,6 +224,32 @@ def within(reads: Sequence[Read]) -> dict[str, tuple[int, float, float]]:
                 correlation = float(np.corrcoef(one, other)[0, 1]) if one.std() > 0.0 else 0.0
                 kept.append((correlation, correlation * float(one.std() / other.std())))
     return {name: (len(kept), *np.median(kept, axis=0).tolist()) for name, kept in found.items() if kept}
+
+
+def stated_alike(reads: Sequence[tuple[Clip, np.ndarray]]) -> dict[str, tuple[float, int, float, float]]:
+    """Compare coefficients (F, 52) of the frames with a face with the peer's, by coefficient.
+
+    The rank correlation over frames of all clips; the number of clips in which the peer's moves, and the medians over
+    these of correlation and slope, NaN for none.
+    """
+    compared = {}
+    for column, name in enumerate(COEFFICIENTS):
+        if name not in reads[0][0].coefficients:
+            continue
+        within, pooled = [], []
+        for clip, found in reads:
+            ours = np.full(len(clip.take), np.nan)
+            ours[clip.take.found] = found[:, column]
+            theirs = clip.coefficients[name]
+            pooled.append((ours[clip.sampled], theirs[clip.sampled]))
+            one, other = ours[clip.seen], theirs[clip.seen]
+            if other.std() > _STATED:
+                correlation = float(np.corrcoef(one, other)[0, 1]) if one.std() > 0.0 else 0.0
+                within.append((correlation, correlation * float(one.std() / other.std())))
+        ranks = [_ranks(np.concatenate(values)) for values in zip(*pooled, strict=True)]
+        medians = np.median(within, axis=0).tolist() if within else [np.nan, np.nan]
+        compared[name] = (float(np.corrcoef(*ranks)[0, 1]), len(within), *medians)
+    return compared
 
 
 def shut_lips(reads: Sequence[Read]) -> float:
@@ -265,6 +309,16 @@ def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator
         if rule in halves[0]
     ]
     yield Table("Within clips of strangers", ("figure", *moving), within_rows)
+
+
+def _table_of_coefficients(halves: Sequence[Mapping[str, tuple[float, int, float, float]]]) -> Table:
+    """Table of the coefficients that the peer sees move within clips on both halves."""
+    rows = [
+        (name, *(_both_halves(half[name][figure] for half in halves) for figure in (0, 2, 3)))
+        for name in halves[0]
+        if min(half[name][1] for half in halves) >= _MOVING
+    ]
+    return Table("Coefficients of strangers", ("coefficient", "across clips", "within clips", "slope"), rows)
 
 
 def _both_halves(values: Iterable[float]) -> str:

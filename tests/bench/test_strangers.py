@@ -8,9 +8,20 @@ import numpy as np
 import pytest
 
 from facemime.core.face.landmarks import BROWS, LOWER_LIPS, UPPER_LIPS
+from facemime.core.face.names import COEFFICIENTS
 from facemime.core.takes import rest
 from facemime.core.takes.face_space import load_face_space
-from lab.bench.strangers import ACROSS, Clip, across, patched, read_clips, shut_lips, simple_rules, within
+from lab.bench.strangers import (
+    ACROSS,
+    Clip,
+    across,
+    patched,
+    read_clips,
+    shut_lips,
+    simple_rules,
+    stated_alike,
+    within,
+)
 from tests.helpers.takes import make_take
 
 FRAMES = 60
@@ -55,6 +66,21 @@ def test_lips_that_are_apart_while_the_performers_are_shut_count():
     parted[: FRAMES // 4, LOWER_LIPS, 1] += 0.1
     assert shut_lips([(one, sealed, rest)]) == 1.0
     assert shut_lips([(one, parted, rest)]) == pytest.approx(0.75)
+
+
+def test_coefficients_are_compared_by_rank_across_clips_and_by_slope_within_them():
+    reads = []
+    for one, _ in (clip(0.0), clip(0.12)):
+        found = np.zeros((FRAMES, len(COEFFICIENTS)))
+        found[:, COEFFICIENTS.index("jawOpen")] = 0.5 * one.coefficients["jawOpen"]
+        found[:, COEFFICIENTS.index("browInnerUp")] = (
+            one.coefficients["browInnerUp"] - one.coefficients["browInnerUp"][0]
+        )
+        reads.append((one, found))
+    compared = stated_alike(reads)
+    assert compared["jawOpen"] == pytest.approx((1.0, 2, 1.0, 0.5), abs=1e-3)
+    assert compared["browInnerUp"][0] < 0.7 and compared["browInnerUp"][1] == 0
+    assert "eyeWideLeft" not in compared
 
 
 def test_rules_are_patched_only_for_a_while():
