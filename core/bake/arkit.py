@@ -10,6 +10,7 @@ from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..drive.actions import ActionDriver
 from ..drive.drive_settings import DriveSettings, PosingSettings
@@ -26,7 +27,7 @@ from ..takes.face_space import without_similarity
 from ..takes.neutral import MIRROR_WIDTH, Neutral
 from ..takes.take import Take
 from ..tracking.result import TrackResult, mirror_result
-from .coefficients import CoefficientSolver, has_actions, load_coefficient_model
+from .coefficients import CLOSES, LIP_GAP, OPENS, CoefficientSolver, has_actions, load_coefficient_model
 from .fit import fit_keys
 from .own_keys import BLINKS
 
@@ -128,11 +129,18 @@ _PAIRS = [(int(one), int(other)) for one, other in np.searchsorted(FITTED, EXCLU
 _MEASURED = {
     "tongueOut": action_indices(["tongueOut"]),
     "cheekPuff": action_indices(["cheekPuffRight", "cheekPuffLeft"]),
+    "browDownLeft": action_indices(["browDownLeft"]),
+    "browDownRight": action_indices(["browDownRight"]),
 }
-"""Coefficients that landmarks hardly show, and the actions whose mean is the least value of each."""
+"""Coefficients that landmarks hardly show, or swallow, and the actions whose mean is the least value of each."""
 _SLOPES = {"browInnerUp": 0.54, "browOuterUpLeft": 0.72, "browOuterUpRight": 0.72}
 """Slopes of coefficients against those of the model near rest: the brows of ICT-FaceKit, on which it was trained, rise
 by 7.1 and 9.7 % of the eye distance, and those that phones mean by 13.1 and 13.5 %."""
+
+_SHUT = 0.03
+"""Gap of the lips, in outer-eye distances, up to which they count as shut, as in `lab.bench.strangers`."""
+_PARTED = 0.08
+"""Gap from which they count as parted."""
 
 
 def arkit_coefficients(
@@ -240,7 +248,7 @@ class FrameCoefficients:
             return _with_looks(_fitted(self._observer.displacements(result)[None]), gaze)
         observed = self._observer.face(result)[None]
         actions = bool(has_actions(observed)[0])
-        found = _with_looks(_as_phones(_solver(actions).frames(observed, self._near)), gaze)
+        found = _with_looks(_sealed(_as_phones(_solver(actions).frames(observed, self._near)), observed), gaze)
         return _with_measured(found, self._observer.shown(result)[None])
 
 
@@ -264,7 +272,36 @@ def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -
     for actions in set(complete.tolist()):
         rows = np.flatnonzero(complete == actions)
         fitted[rows] = _solver(actions).take(observed[rows])
-    return _with_measured(_with_looks(_as_phones(fitted), gaze), shown)
+    return _with_measured(_with_looks(_sealed(_as_phones(fitted), observed), gaze), shown)
+
+
+def _sealed(fitted: FloatArray, observed: FloatArray) -> FloatArray:
+    """Shut the lips in coefficients (N, 44) where they are observed to be shut, (N, 213), in place.
+
+    What is left of many small coefficients would open them: the lips are shut by mouthClose as far as the jaw is open,
+    and then by less of what opens them.
+    """
+    gaps, opens = _lip_gaps()
+    seen = observed[:, : len(LIP_GAP)] @ LIP_GAP
+    shut = np.clip((_PARTED - seen) / (_PARTED - _SHUT), 0.0, 1.0)
+    excess = shut * np.maximum(fitted @ gaps - np.maximum(seen, 0.0), 0.0)
+    closes = np.minimum(excess / -gaps[CLOSES], np.maximum(fitted[:, OPENS] - fitted[:, CLOSES], 0.0))
+    fitted[:, CLOSES] += closes
+    excess += closes * gaps[CLOSES]
+    share = np.minimum(excess / np.maximum(fitted[:, opens] @ gaps[opens], 1e-9), 1.0)
+    fitted[:, opens] *= 1.0 - share[:, None]
+    return fitted
+
+
+@lru_cache(maxsize=1)
+def _lip_gaps() -> tuple[FloatArray, NDArray[np.intp]]:
+    """Return how far coefficients `FITTED` open the lips of the built-in head at 1, (44,), in outer-eye distances, and
+    the positions of those that do, except for the jaw.
+    """
+    head, unit = load_head(), outer_eye_distance(_landmarks())
+    units = head.units[FITTED][:, head.landmarks].astype(np.float64) / unit
+    gaps = np.asarray(units.reshape(len(FITTED), -1) @ LIP_GAP)
+    return gaps, np.setdiff1d(np.flatnonzero(gaps > 0.0), [OPENS])
 
 
 def _as_phones(fitted: FloatArray) -> FloatArray:

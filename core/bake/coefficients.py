@@ -143,10 +143,10 @@ def _spread(archive: Archive, name: str) -> Spread:
 
 _PLACES: NDArray[np.intp] = np.searchsorted(FITTED, EXCLUSIVE)
 _ACROSS: NDArray[np.intp] = np.searchsorted(FITTED, COEFFICIENT_MIRROR[FITTED])
-_OPENS, _CLOSES = (int(np.searchsorted(FITTED, COEFFICIENT_INDEX[name])) for name in ("jawOpen", "mouthClose"))
-_LIP_GAP = np.zeros((N_LANDMARKS, 3))
-_LIP_GAP[LOWER_LIPS, 1], _LIP_GAP[UPPER_LIPS, 1] = 1.0 / len(LOWER_LIPS), -1.0 / len(UPPER_LIPS)
-_LIP_GAP = _LIP_GAP.ravel()
+OPENS, CLOSES = (int(np.searchsorted(FITTED, COEFFICIENT_INDEX[name])) for name in ("jawOpen", "mouthClose"))
+LIP_GAP = np.zeros((N_LANDMARKS, 3))
+LIP_GAP[LOWER_LIPS, 1], LIP_GAP[UPPER_LIPS, 1] = 1.0 / len(LOWER_LIPS), -1.0 / len(UPPER_LIPS)
+LIP_GAP = LIP_GAP.ravel()
 """Mean vertical gap of the inner lips as a function of observed displacements."""
 
 
@@ -225,7 +225,7 @@ class CoefficientSolver:
         # The sum may show both of a pair, such as the jaw to both sides, or lips shut further than the jaw is open.
         weaker = _PLACES[np.arange(len(_PLACES)), found[:, _PLACES].argmin(axis=2)]
         np.put_along_axis(found, weaker, 0.0, axis=1)
-        found[:, _CLOSES] = np.minimum(found[:, _CLOSES], found[:, _OPENS])
+        found[:, CLOSES] = np.minimum(found[:, CLOSES], found[:, OPENS])
         return found
 
     def _lacking(self, fitted: FloatArray) -> FloatArray:
@@ -262,11 +262,11 @@ class CoefficientSolver:
 
     def _finished(self, found: FloatArray, values: FloatArray) -> FloatArray:
         """Let the lips be as far apart as observed, by mouthClose, which cannot exceed jawOpen; scale; append."""
-        # The gap is linear in the coefficients, and mouthClose changes it by gap[_CLOSES], which is negative.
-        gap = _LIP_GAP @ self._responses[:, : 3 * N_LANDMARKS].T
-        apart = found @ gap - values[:, : 3 * N_LANDMARKS] @ _LIP_GAP
-        closed = found[:, _CLOSES] + apart / -gap[_CLOSES]
-        found[:, _CLOSES] = np.clip(closed, 0.0, found[:, _OPENS])
+        # The gap is linear in the coefficients, and mouthClose changes it by gap[CLOSES], which is negative.
+        gap = LIP_GAP @ self._responses[:, : 3 * N_LANDMARKS].T
+        apart = found @ gap - values[:, : 3 * N_LANDMARKS] @ LIP_GAP
+        closed = found[:, CLOSES] + apart / -gap[CLOSES]
+        found[:, CLOSES] = np.clip(closed, 0.0, found[:, OPENS])
         return np.concatenate([values, np.clip(found * self._model.gains, 0.0, 1.0)], axis=1)
 
 

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,6 +37,7 @@ from facemime.core.takes.take import Take
 from facemime.core.tracking.tracker import FaceTracker
 from lab.bench.expressions import THRESHOLDS, Features, features, take_of
 from lab.bench.report import Table, finish, parser
+from lab.training.patching import patched
 
 MOVES = {
     **{"brow_l": 0.02, "brow_r": 0.02, "brow_in": 0.012, "lid_l": 0.12, "lid_r": 0.12},
@@ -274,19 +274,6 @@ def _ranks(values: Sequence[float]) -> np.ndarray:
     ranks = np.empty(len(values))
     ranks[np.argsort(values)] = np.arange(len(values))
     return ranks
-
-
-@contextmanager
-def patched(values: Mapping[tuple[Any, str], Any]) -> Iterator[None]:
-    """Give attributes of modules other values for a while."""
-    before = {(module, name): getattr(module, name) for module, name in values}
-    try:
-        for (module, name), value in values.items():
-            setattr(module, name, value)
-        yield
-    finally:
-        for (module, name), value in before.items():
-            setattr(module, name, value)
 
 
 def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:

@@ -15,13 +15,13 @@ from lab.bench.strangers import (
     ACROSS,
     Clip,
     across,
-    patched,
     read_clips,
     shut_lips,
     simple_rules,
     stated_alike,
     within,
 )
+from lab.training.patching import patched
 from tests.helpers.takes import make_take
 
 FRAMES = 60

@@ -10,7 +10,7 @@ from facemime.core.face.landmarks import N_LANDMARKS
 from facemime.core.face.names import ACTIONS, COEFFICIENT_INDEX, COEFFICIENT_MIRROR, FITTED
 
 from ..head.build import to_bytes
-from .script import random_expression
+from .script import random_moment
 from .simulate import Observed
 
 _SHAPE = 3 * N_LANDMARKS
@@ -114,7 +114,7 @@ def _coefficient(action: str) -> str:
 
 def _together(rng: np.random.Generator) -> np.ndarray:
     """Inverse of the mean products of two coefficients, (44, 44)."""
-    keys = np.array([random_expression(rng) for _ in range(_EXPRESSIONS)])
+    keys = np.array([random_moment(rng) for _ in range(_EXPRESSIONS)])
     keys = np.concatenate([keys, keys[:, COEFFICIENT_MIRROR]])[:, FITTED]
     inverse = np.linalg.inv(_LASTING * keys.T @ keys / len(keys) + _RARE * np.eye(len(FITTED)))
     return 0.5 * (inverse + inverse.T)

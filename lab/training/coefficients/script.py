@@ -83,6 +83,29 @@ _EMOTIONS: tuple[dict[str, tuple[float, float]], ...] = (
     {"mouthSmile": (0.2, 0.5), "mouthDimple": (0.3, 0.9)},
 )
 """Prototypes of joy, sadness, surprise, fear, anger, disgust and contempt, after Friesen & Ekman's EMFACS."""
+_SOUNDS: tuple[tuple[float, dict[str, tuple[float, float]]], ...] = (
+    (3, {"jawOpen": (0.2, 0.6), "mouthLowerDown": (0.0, 0.4), "mouthUpperUp": (0.0, 0.3)}),  # a
+    (3, {"jawOpen": (0.05, 0.3), "mouthStretch": (0.0, 0.4), "mouthLowerDown": (0.1, 0.5), "mouthUpperUp": (0.0, 0.3)}),
+    (1, {"jawOpen": (0.05, 0.3), "mouthSmile": (0.1, 0.4), "mouthDimple": (0.0, 0.3), "mouthLowerDown": (0.0, 0.4)}),
+    (2, {"jawOpen": (0.03, 0.25), "mouthPucker": (0.4, 1.0), "mouthFunnel": (0.0, 0.4)}),  # u, w
+    (2, {"jawOpen": (0.15, 0.45), "mouthFunnel": (0.3, 0.8), "mouthPucker": (0.2, 0.6)}),  # o
+    (1, {"jawOpen": (0.05, 0.2), "mouthFunnel": (0.3, 0.8), "mouthPucker": (0.2, 0.7), "mouthShrugUpper": (0.0, 0.3)}),
+    (2, {"mouthPress": (0.0, 0.5), "mouthRollLower": (0.0, 0.4), "mouthRollUpper": (0.0, 0.3)}),  # m, b, p
+    (1, {"jawOpen": (0.03, 0.15), "mouthRollLower": (0.2, 0.6), "mouthUpperUp": (0.1, 0.4)}),  # f, v
+    (3, {"jawOpen": (0.05, 0.2), "mouthLowerDown": (0.1, 0.4), "mouthStretch": (0.0, 0.2)}),  # t, d, s
+)
+"""What the mouth does for the sounds of speech, with their odds."""
+_TALKING = 0.5
+"""Share of acts that are phrases."""
+_SOUND, _MOODY = (0.1, 0.3), 0.5
+"""Duration of a sound in seconds, and share of phrases during which the upper face or the corners of the mouth act."""
+_MOODS: tuple[dict[str, tuple[float, float]], ...] = (
+    {"mouthSmile": (0.1, 0.6), "cheekSquint": (0.0, 0.4)},
+    {"browInnerUp": (0.2, 0.9), "browOuterUp": (0.2, 0.9)},
+    {"browDown": (0.2, 0.9), "eyeSquint": (0.0, 0.5)},
+    {"mouthFrown": (0.1, 0.6), "browInnerUp": (0.0, 0.6)},
+)
+"""What accompanies a phrase."""
 _EMOTIONAL = 0.35
 """Share of acts that are emotions; the others combine parts of the face by chance."""
 _ONE_SIDED = 0.25
@@ -108,8 +131,46 @@ def random_script(seconds: float, rng: np.random.Generator) -> list[RandomAct]:
     acts, time = [], _REST
     while time + _LENGTH[1] < seconds:
         length = rng.uniform(*_LENGTH)
-        acts.append(RandomAct(time, time + length, rng.uniform(*_ATTACK), random_expression(rng)))
+        if rng.random() < _TALKING:
+            length = min(2.0 * length, seconds - time)
+            acts += _phrase(time, time + length, rng)
+        else:
+            acts.append(RandomAct(time, time + length, rng.uniform(*_ATTACK), random_expression(rng)))
         time += length + rng.uniform(*_PAUSE)
+    return acts
+
+
+def random_moment(rng: np.random.Generator) -> np.ndarray:
+    """Coefficients of a random expression, or of a moment of a phrase, (52,)."""
+    if rng.random() >= _TALKING:
+        return random_expression(rng)
+    keys = _sound(rng)
+    return np.maximum(keys, _mood(rng)) if rng.random() < _MOODY else keys
+
+
+def _sound(rng: np.random.Generator) -> np.ndarray:
+    odds = np.array([odds for odds, _ in _SOUNDS], dtype=float)
+    keys = np.zeros(len(COEFFICIENTS))
+    _act(keys, _SOUNDS[rng.choice(len(_SOUNDS), p=odds / odds.sum())][1], rng)
+    return keys
+
+
+def _mood(rng: np.random.Generator) -> np.ndarray:
+    keys = np.zeros(len(COEFFICIENTS))
+    _act(keys, _MOODS[rng.integers(len(_MOODS))], rng)
+    return keys
+
+
+def _phrase(start: float, end: float, rng: np.random.Generator) -> list[RandomAct]:
+    """Return sounds that follow one another and overlap, and what accompanies them."""
+    acts, time = [], start
+    while time < end:
+        length = rng.uniform(*_SOUND)
+        acts.append(RandomAct(time - 0.3 * length, time + 1.3 * length, 0.6 * length, _sound(rng)))
+        time += length
+    if rng.random() < _MOODY:
+        mood = _mood(rng)
+        acts.append(RandomAct(start, end, rng.uniform(*_ATTACK), mood))
     return acts
 
 

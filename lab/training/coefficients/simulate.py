@@ -24,7 +24,7 @@ from facemime.core.tracking.result import TrackResult
 
 from ..tracker.heads import IctHead
 from ..tracker.reproject import shut_weights
-from .script import ict_weights, random_expression
+from .script import ict_weights, random_moment
 
 _SIZE, _NOISE, _FIT_NOISE, _ITERATIONS = 100.0, 0.012, 0.01, 8
 """Pixels between the eyes; noise of a landmark, and noise that the fit assumes, in eye distances; and steps of the
@@ -74,7 +74,7 @@ def simulate(faces: list[Face], model: PointDistributionModel, each: int, rng: n
     for face in faces:
         observer = Observer(_neutral(face, model, rng), DriveSettings())
         for frame in range(each):
-            shown = random_expression(rng) * rng.choice([0.5, 1.0, 1.0]) * (frame % _RESTING > 0)
+            shown = random_moment(rng) * rng.choice([0.5, 1.0, 1.0]) * (frame % _RESTING > 0)
             values.append(observer.face(_seen(face(shown), model, rng)))
             keys.append(shown)
     return Observed(np.array(values), np.array(keys))
