@@ -26,6 +26,7 @@ from facemime.core.drive import retarget
 from facemime.core.drive.driver import drive_take
 from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, outer_eye_distance
 from facemime.core.face.names import COEFFICIENTS
+from facemime.core.heads.built_in import load_head
 from facemime.core.heads.rig import HeadRig, built_in_head
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
@@ -65,6 +66,8 @@ _MOVING = 3
 """Smallest number of clips on each half in which the peer's moves, for a coefficient to have figures within clips."""
 _SHUT = 0.03
 """Gap of the avatar's lips below which they are shut."""
+_KEYED = "head driven by its keys"
+"""The rule of the built-in head whose ARKit keys are set to the coefficients."""
 ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "as it is": {},
     "neutral face not moved towards the mean": {(resting, "_TOWARDS_MEAN"): 0.0},
@@ -136,6 +139,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         peers = [(clips[name], clips[name].points, mean) for name in chosen]
         measured[half]["the other program's landmarks, their mean"] = {"across": across(peers)}
     found = {name: arkit_coefficients(clip.take, calibrate(clip.take)) for name, clip in clips.items()}
+    keyed = {name: by_keys(clip.take, found[name]) for name, clip in clips.items()}
+    for half, chosen in halves.items():
+        avatar = [(clips[name], keyed[name], rest) for name in chosen]
+        measured[half][_KEYED] = {"across": across(avatar), "within": within(avatar), "shut": shut_lips(avatar)}
     stated = {half: stated_alike([(clips[name], found[name]) for name in chosen]) for half, chosen in halves.items()}
     tables = [*_tables(measured), _table_of_coefficients(list(stated.values()))]
     finish(arguments, tables, {"halves": halves, "measured": measured, "coefficients": stated})
@@ -169,6 +176,17 @@ def driven(take: Take, rig: HeadRig) -> np.ndarray:
     shown = np.full((len(take), len(rig.landmarks), 3), np.nan)
     moved = drive_take(performance.driver(rig), take).vertices[:, rig.landmarks]
     shown[take.found] = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks] + moved
+    return shown
+
+
+def by_keys(take: Take, coefficients: np.ndarray) -> np.ndarray:
+    """Landmarks (N, 66, 3) of the built-in head whose keys are set to the coefficients (F, 52) of the frames with a
+    face; NaN elsewhere.
+    """
+    head = load_head()
+    units = head.units[:, head.landmarks].astype(np.float64)
+    shown = np.full((len(take), len(head.landmarks), 3), np.nan)
+    shown[take.found] = head.vertices[head.landmarks] + np.tensordot(coefficients, units, 1)
     return shown
 
 
@@ -292,6 +310,8 @@ def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator
             ("correlation", "as it is", 1),
             ("slope", "as it is", 2),
             ("slope, lips without gains", "lips without gains", 2),
+            ("correlation, by its keys", _KEYED, 1),
+            ("slope, by its keys", _KEYED, 2),
         )
         if rule in halves[0]
     ]

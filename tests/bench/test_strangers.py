@@ -9,12 +9,14 @@ import pytest
 
 from facemime.core.face.landmarks import BROWS, LOWER_LIPS, UPPER_LIPS
 from facemime.core.face.names import COEFFICIENTS
+from facemime.core.heads.built_in import load_head
 from facemime.core.takes import rest
 from facemime.core.takes.face_space import load_face_space
 from lab.bench.strangers import (
     ACROSS,
     Clip,
     across,
+    by_keys,
     read_clips,
     shut_lips,
     simple_rules,
@@ -81,6 +83,17 @@ def test_coefficients_are_compared_by_rank_across_clips_and_by_slope_within_them
     assert compared["jawOpen"] == pytest.approx((1.0, 2, 1.0, 0.5), abs=1e-3)
     assert compared["browInnerUp"][0] < 0.7 and compared["browInnerUp"][1] == 0
     assert "eyeWideLeft" not in compared
+
+
+def test_a_head_is_driven_by_its_keys_in_the_frames_with_a_face():
+    take = make_take(clip(0.0)[0].points, found=np.arange(FRAMES) % 2 == 0)
+    found = np.zeros((FRAMES // 2, len(COEFFICIENTS)))
+    found[-1, COEFFICIENTS.index("jawOpen")] = 1.0
+    shown, head = by_keys(take, found), load_head()
+    assert np.isnan(shown[1::2]).all()
+    np.testing.assert_allclose(shown[0], head.vertices[head.landmarks])
+    moved = head.units[COEFFICIENTS.index("jawOpen")][head.landmarks]
+    np.testing.assert_allclose(shown[-2] - shown[0], moved, atol=1e-6)
 
 
 def test_rules_are_patched_only_for_a_while():
