@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import rankdata
 
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive import retarget
@@ -228,7 +229,7 @@ def across(reads: Sequence[Read]) -> dict[str, float]:
         for name, (feature, sign, columns) in ACROSS.items():
             pooled[name][0].extend(sign * both[feature][frames])
             pooled[name][1].extend(np.mean([clip.coefficients[column][frames] for column in columns], axis=0))
-    return {name: float(np.corrcoef(_ranks(ours), _ranks(theirs))[0, 1]) for name, (ours, theirs) in pooled.items()}
+    return {name: float(np.corrcoef(rankdata(ours), rankdata(theirs))[0, 1]) for name, (ours, theirs) in pooled.items()}
 
 
 def within(reads: Sequence[Read]) -> dict[str, tuple[int, float, float]]:
@@ -264,7 +265,7 @@ def stated_alike(reads: Sequence[tuple[Clip, np.ndarray]]) -> dict[str, tuple[fl
             if other.std() > _STATED:
                 correlation = float(np.corrcoef(one, other)[0, 1]) if one.std() > 0.0 else 0.0
                 within.append((correlation, correlation * float(one.std() / other.std())))
-        ranks = [_ranks(np.concatenate(values)) for values in zip(*pooled, strict=True)]
+        ranks = [rankdata(np.concatenate(values)) for values in zip(*pooled, strict=True)]
         medians = np.median(within, axis=0).tolist() if within else [np.nan, np.nan]
         compared[name] = (float(np.corrcoef(*ranks)[0, 1]), len(within), *medians)
     return compared
@@ -286,12 +287,6 @@ def _both(clip: Clip, shown: np.ndarray, rest: np.ndarray) -> tuple[Features, Fe
     """Features of both in the frames in which both find a face; the peer's are relative to the clip's median."""
     theirs = clip.points[clip.seen]
     return features(shown[clip.seen], rest), features(theirs, np.median(theirs, axis=0))
-
-
-def _ranks(values: Sequence[float]) -> np.ndarray:
-    ranks = np.empty(len(values))
-    ranks[np.argsort(values)] = np.arange(len(values))
-    return ranks
 
 
 def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[Table]:
