@@ -69,7 +69,7 @@ def test_keys_with_arkits_names_get_the_measured_actions():
     scene.frame_set(55)
     keys = head.data.shape_keys.key_blocks
     assert 0.4 < keys["cheekPuff"].value < 0.65  # of one cheek, where ARKit has one key for both
-    assert keys["mouthPressLeft"].value == pytest.approx(0.0, abs=1e-4)
+    assert keys["mouthPressLeft"].value == pytest.approx(0.0, abs=0.05)
 
 
 def test_a_head_of_an_earlier_version_without_the_key_is_driven_as_before():

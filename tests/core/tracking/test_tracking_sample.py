@@ -99,9 +99,10 @@ def test_the_coefficients_are_those_of_the_script(results: list[TrackResult]) ->
             acted[frame, COEFFICIENT_INDEX[name]] = min(amount, 1.0)
     found = arkit_coefficients(take, calibrate(take))
     shown = [k for k in FITTED if acted[:, k].max() > 0.3]
-    assert np.mean([np.corrcoef(found[:, k], acted[:, k])[0, 1] for k in shown]) > 0.8
-    assert np.mean([np.abs(found - acted)[acted[:, k] > 0.05, k].mean() for k in shown]) < 0.22
-    assert ((acted < 0.05) & (found > 0.3))[:, FITTED].sum(axis=1).mean() < 0.2
+    assert np.mean([np.corrcoef(found[:, k], acted[:, k])[0, 1] for k in shown]) > 0.85
+    assert np.mean([np.abs(found - acted)[acted[:, k] > 0.05, k].mean() for k in shown]) < 0.2
+    # The gain of the lips, which real ones need, shows some frowns that are not acted.
+    assert ((acted < 0.05) & (found > 0.3))[:, FITTED].sum(axis=1).mean() < 0.25
 
 
 def test_the_avatar_turns_its_head_and_eyes_as_the_performer_does(results: list[TrackResult]) -> None:
