@@ -113,9 +113,8 @@ def build_actor(source: Source, skin: Path) -> Actor:
     points = points - centre
     names = source.unit_names()
     units = [fit_blink(name, source.unit(name) * TO_HEAD, points, landmarks) for name in names]
-    parts = build_parts(
-        base, points, units, names.index("tongueOut"), jaw_hinge(base, points, units[names.index("jawOpen")])
-    )
+    hinge = jaw_hinge(base, points, units[names.index("jawOpen")])
+    parts = build_parts(base, points, units, names.index("tongueOut"), hinge, names, units)
     skins = _skins(base, points, chart)
     ear = _ears(base, chart)
     texture = _texture(points, skins["head"], ear, points[landmarks], skin)
