@@ -288,7 +288,7 @@ def _sealed(fitted: FloatArray, observed: FloatArray) -> FloatArray:
     closes = np.minimum(excess / -gaps[CLOSES], np.maximum(fitted[:, OPENS] - fitted[:, CLOSES], 0.0))
     fitted[:, CLOSES] += closes
     excess += closes * gaps[CLOSES]
-    share = np.minimum(excess / np.maximum(fitted[:, opens] @ gaps[opens], 1e-9), 1.0)
+    share = np.clip(excess / np.maximum(fitted[:, opens] @ gaps[opens], 1e-9), 0.0, 1.0)
     fitted[:, opens] *= 1.0 - share[:, None]
     return fitted
 
