@@ -50,6 +50,14 @@ def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
     return obj.data
 
 
+def make_room(key: bpy.types.ShapeKey, value: float) -> None:
+    """Extend the range of a shape key to a value that would be clipped to it; a range that ends before 1 is a choice of
+    the user's, and stays.
+    """
+    if 1.0 <= key.slider_max < value:
+        key.slider_max = value
+
+
 def keys_of(obj: bpy.types.Object) -> bpy.types.Key:
     """Return the shape keys of a mesh that has some."""
     keys = mesh_of(obj).shape_keys

@@ -23,7 +23,7 @@ from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, head_of, members_of
 from ..fcurves import CharacterAction, curves_in, drivers_of, is_layer
 from ..frames import from_blender
-from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, mesh_of, read_vertices
+from ..meshes import group_weights, key_names, key_offsets, key_points, keys_of, make_room, mesh_of, read_vertices
 from ..muting import Silenced, keyed_paths, varying_paths
 from ..names import BAKED_KEY_PREFIX, PART_PROPERTY
 
@@ -321,18 +321,14 @@ def bake_values(
                 for name, curve in curves.items()
                 if name in own_keys.key_blocks and curve.data_path not in following
             ]
-            _make_room(own_keys, own)
+            for curve in own:
+                make_room(
+                    own_keys.path_resolve(curve.data_path.removesuffix(".value")), float(curve.values.max(initial=0.0))
+                )
             own += _beneath_corrections(own_keys, own, len(frames))
             name = f"{obj.name} Expression"
             silenced += write_curves(own_keys, name, frames, own, action=action, nla=nla, add=keep, leave_drivers=keep)
     return silenced
-
-
-def _make_room(keys: bpy.types.Key, curves: Sequence[Curve]) -> None:
-    """Extend the ranges of keys that have to exceed them to shut the eyes, as values are clipped to them."""
-    highest = {curve.data_path: float(curve.values.max(initial=0.0)) for curve in curves}
-    for key in keys.key_blocks:
-        key.slider_max = max(key.slider_max, highest.get(value_path(key.name), 0.0))
 
 
 def _beneath_corrections(keys: bpy.types.Key, curves: Sequence[Curve], frames: int) -> list[Curve]:

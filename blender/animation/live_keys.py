@@ -21,7 +21,7 @@ from ...core.errors import HeadError
 from ...core.heads.key_map import KeyMap
 from ...core.puppet.outputs import LiveKeys
 from ..characters import members_of, whole_face
-from ..meshes import driven_by_keys, exists
+from ..meshes import driven_by_keys, exists, make_room
 from ..names import VALUES_PROPERTY
 from ..styles import read_style
 from .aside import kept_values, moving, resting_values, restore, set_aside
@@ -109,11 +109,12 @@ class LiveValues:
             first.value = first.value  # a bulk write does not update the scene
 
     def _make_room(self, values: NDArray[Any]) -> None:
-        """Extend the ranges of keys that have to exceed them to shut the eyes, as values are clipped to them."""
+        """Extend the ranges of keys that have to exceed 1 to shut the eyes, and remember them."""
         for place, number in self._places.items():
-            if values[number] > (block := self._keys.key_blocks[place]).slider_max:
+            if values[number] > 1.0:
+                block = self._keys.key_blocks[place]
                 self._extended.setdefault(block.name, block.slider_max)
-                block.slider_max = values[number]
+                make_room(block, float(values[number]))
 
     def detach(self, *, keep: bool) -> None:
         """Restore the values and ranges, or leave them as they are if `keep`, and what was set aside."""

@@ -74,6 +74,20 @@ def test_bakes_take_blinks_as_far_as_the_eyes_need_it():
     assert blocks["jawOpen"].slider_max == 1.0
 
 
+def test_a_range_that_the_user_made_smaller_stays():
+    head = character(0.8)
+    key = head.data.shape_keys.key_blocks["eyeBlinkLeft"]
+    key.slider_max = 0.6
+    largest = baked(head, blinking())
+    assert key.slider_max == pytest.approx(0.6) and largest["eyeBlinkLeft"] == pytest.approx(0.6)
+    assert largest["eyeBlinkRight"] > 1.0
+    live = LiveValues(head.data.shape_keys, BLINKS, set())
+    live.attach()
+    live.write(np.array([1.2, 1.2]))
+    assert key.slider_max == pytest.approx(0.6) and key.value == pytest.approx(0.6)
+    live.detach(keep=False)
+
+
 def test_what_a_phone_states_stays_as_it_is():
     assert max(baked(character(0.8), coefficient_take()).values()) == pytest.approx(0.9, abs=0.02)
 
