@@ -86,11 +86,12 @@ def lid_factors(
     The artists of many avatars stop short of it. What is seen of the eyes in front of the face decides, at increasing
     values of the keys. The vertices (B, 3) and faces are those of the whole face at rest, and `offsets` displacements
     (A, 3) of its first vertices. Both factors are the larger one of the two. They are 1 where keys shut the eyes at 1,
-    where no eye is found between the lids, and where the user has chosen a gain.
+    where no eye is found between the lids, where coordinates are not finite, and where the user has chosen a gain.
     """
     rest = np.asarray(vertices, dtype=np.float64)
     motions = [_blink(table, offsets, COEFFICIENTS[column]) for column in BLINKS]
-    found = [_factor(rest, faces, motion) for motion in motions if motion is not None and motion.any()]
+    known = [motion for motion in motions if motion is not None and motion.any() and np.isfinite(motion).all()]
+    found = [_factor(rest, faces, motion) for motion in known] if np.isfinite(rest).all() else []
     return np.full(len(BLINKS), max(found, default=1.0))
 
 

@@ -85,6 +85,17 @@ def test_what_cannot_be_judged_is_left(rig):
     np.testing.assert_array_equal(factors(rig, TABLE, turned), 1.0)  # a blink that opens the eyes further
 
 
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_coordinates_that_are_not_finite_are_left_to_those_that_refuse_them(rig, value):
+    keys = blinks(rig, 0.8)
+    for key in keys.values():
+        key[100] = value
+    np.testing.assert_array_equal(factors(rig, TABLE, keys), 1.0)
+    vertices = rig.all_vertices.copy()
+    vertices[100] = value
+    np.testing.assert_array_equal(lid_factors(vertices, rig.all_faces, TABLE, blinks(rig, 0.8)), 1.0)
+
+
 def test_a_gain_that_the_user_chose_stays(rig):
     table = KeyMap("Mine", tuple(KeyRow(name, name, gain=0.9) for name in NAMES))
     np.testing.assert_array_equal(factors(rig, table, blinks(rig, 0.8)), 1.0)
