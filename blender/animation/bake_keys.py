@@ -204,6 +204,12 @@ def read_keys(members: Sequence[Member]) -> MeshKeys:
     for row, found in zip(offsets, blocks.values(), strict=True):
         for member, block in found:
             row[member.part] = member.head_offsets(scaled_offsets(member.obj, block))
+            if not np.isfinite(row[member.part]).all():
+                raise HeadError(
+                    "The shape key {key} of {name} has coordinates that are not numbers. Mute or delete it.",
+                    key=block.name,
+                    name=member.obj.name,
+                )
     first = [found[0][1] for found in blocks.values()]
     return MeshKeys(
         names=tuple(blocks),

@@ -10,6 +10,7 @@ from facemime.blender.characters import write_kinds
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.names import HEAD_PROPERTY, PART_PROPERTY
 from facemime.core.bake.bake_settings import BakeSettings
+from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import outer_eye_distance
 from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.built_in import load_head
@@ -86,6 +87,16 @@ def test_a_range_that_the_user_made_smaller_stays():
     live.write(np.array([1.2, 1.2]))
     assert key.slider_max == pytest.approx(0.6) and key.value == pytest.approx(0.6)
     live.detach(keep=False)
+
+
+def test_a_key_with_coordinates_that_are_not_numbers_is_named_and_may_be_muted():
+    head = character(1.0)
+    key = head.data.shape_keys.key_blocks["jawOpen"]
+    key.points[100].co = (np.nan,) * 3
+    with pytest.raises(HeadError, match="jawOpen of Facemime Head has coordinates that are not numbers"):
+        baked(head, blinking())
+    key.mute = True
+    assert min(baked(head, blinking()).values()) > 0.5
 
 
 def test_what_a_phone_states_stays_as_it_is():
