@@ -1,26 +1,28 @@
 """Conversion of sets of face photos, as published by their authors, to the folders used here (lab/training/README.md).
 
-`python -m lab.training.faces FOLDER SET` reads the photos of a folder. Landmarks come from the template beside each
-photo (`001_03.tem` beside `001_03.jpg`); MediaPipe finds them if there is no template.
+`python -m lab.training.faces FOLDER SET` reads the photos of a folder, and frames of its clips. Landmarks come from the
+template beside each photo (`001_03.tem` beside `001_03.jpg`); MediaPipe finds them if there is no template.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import cv2
 import numpy as np
 
 from .data import add_data_option
-from .tracker.sources import AUTOMATIC, HAND_LABELLED
+from .tracker.sources import AUTOMATIC, CLIPS, HAND_LABELLED
 
 LARGEST_SIDE = 640
 """Photos with a longer side are cut to a square about the face and reduced to this many pixels."""
 _MARGIN = 2.0
 """Side of that square, in sides of the landmarks' bounding box."""
+EVERY = 3
+"""Every third frame of a clip is used, as frames hardly differ from the next."""
 TEMPLATE_POINTS = 189
 _EAR_TO_CHIN = (109, 185, 110, 186, 111, *range(125, 130)), (112, 187, 113, 188, 114, *range(133, 128, -1))
 _UPPER_LIDS, _LOWER_LIDS = ((18, 19, 20, 21, 22), (23, 24, 25, 26, 27)), ((18, 28, 29, 30, 22), (23, 31, 32, 33, 27))
@@ -33,6 +35,7 @@ _OUTER_LIPS = (87, 88, 89, 90, 91, 92, 93, 108, 107, 106, 105, 104)
 _UPPER_INNER_LIP, _LOWER_INNER_LIP, _INNER_CORNER = (94, 95, 96, 97, 98), (103, 102, 101, 100, 99), 0.4
 """Points of the inner lips, and where an inner corner lies between the outer corner and the first of them."""
 
+_CLIPS = (".mp4", ".mov", ".mkv", ".webm", ".avi")
 Label = Callable[[np.ndarray], np.ndarray]
 
 
@@ -114,42 +117,55 @@ def reduced(image: np.ndarray, landmarks: np.ndarray) -> tuple[np.ndarray, np.nd
     return cv2.resize(cut, shape, interpolation=cv2.INTER_AREA), (landmarks - (left, top) + 0.5) * scale - 0.5
 
 
-def convert(photos: Sequence[Path], folder: Path, label: Label) -> list[str]:
-    """Write photos and landmarks as `images` and `landmarks68.npz` in `folder`; return what is left out, and why.
+def convert(photos: Sequence[Path], folder: Path, label: Label) -> tuple[int, list[str]]:
+    """Write photos and landmarks as `images` and `landmarks68.npz` in `folder`; a clip is every third of its frames.
 
-    `label` returns the landmarks (68, 2) of a photo without a template; NaN if it finds no face. Raises OSError if a
-    file cannot be written.
+    Returns how many there are, and what is left out, and why. `label` returns the landmarks (68, 2) of a picture
+    without a template; NaN if it finds no face. Raises OSError if a file cannot be written.
     """
     names, every, left_out = [], [], []
     (folder / "images").mkdir(parents=True, exist_ok=True)
-    for path in photos:
+    pictures = ((path, *picture) for path in photos for picture in _pictures(path))
+    for path, name, picture in pictures:
         try:
-            image, landmarks = reduced(*_read(path, label))
+            image, landmarks = reduced(*_labelled(path, picture, label))
         except ValueError as error:
-            left_out.append(f"{path.name} is left out: {error}")
+            left_out.append(f"{name} is left out: {error}")
             continue
-        name = f"{path.stem}.jpg"
-        if not cv2.imwrite(str(folder / "images" / name), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
-            raise OSError(f"{folder / 'images' / name} cannot be written")
-        names.append(name)
+        names.append(f"{Path(name).stem}.jpg")
+        if not cv2.imwrite(str(folder / "images" / names[-1]), image, [cv2.IMWRITE_JPEG_QUALITY, 95]):
+            raise OSError(f"{folder / 'images' / names[-1]} cannot be written")
         every.append(landmarks)
-        print(f"\r{len(names)} of {len(photos)} photos", end="", file=sys.stderr)
+        print(f"\r{len(names)} pictures", end="", file=sys.stderr)
     print(file=sys.stderr)
     if names:
         np.savez_compressed(folder / "landmarks68.npz", names=np.array(names), pts68=np.array(every).astype(np.float32))
-    return left_out
+    return len(names), left_out
 
 
-def _read(path: Path, label: Label) -> tuple[np.ndarray, np.ndarray]:
-    """Read a photo and its landmarks (68, 2)."""
-    image = cv2.imread(str(path))
-    if image is None:
+def _pictures(path: Path) -> Iterator[tuple[str, np.ndarray | None]]:
+    """A photo, or frames of a clip, with their names; None for what cannot be read."""
+    if path.suffix.lower() not in _CLIPS:
+        yield path.name, cv2.imread(str(path))
+        return
+    clip, number = cv2.VideoCapture(str(path)), 0
+    if not clip.isOpened():
+        yield path.name, None
+    while (read := clip.read())[0]:
+        if number % EVERY == 0:
+            yield f"{path.stem}_{number:04d}", read[1]
+        number += 1
+
+
+def _labelled(path: Path, picture: np.ndarray | None, label: Label) -> tuple[np.ndarray, np.ndarray]:
+    """A picture and its landmarks (68, 2)."""
+    if picture is None:
         raise ValueError("it is not an image")
     template = path.with_suffix(".tem")
-    landmarks = landmarks_of_template(read_template(template.read_text())) if template.exists() else label(image)
+    landmarks = landmarks_of_template(read_template(template.read_text())) if template.exists() else label(picture)
     if not np.isfinite(landmarks).all():
         raise ValueError("MediaPipe finds no face")
-    return image, landmarks
+    return picture, landmarks
 
 
 def _by_mediapipe() -> Label:
@@ -173,11 +189,11 @@ def _by_mediapipe() -> Label:
 
 
 def main() -> int:
-    """Convert the photos of a folder; return the exit status."""
+    """Convert the photos or clips of a folder; return the exit status."""
     command = argparse.ArgumentParser(prog="python -m lab.training.faces", description=__doc__.splitlines()[0])
-    command.add_argument("folder", type=Path, help="folder of the photos")
-    command.add_argument("set", choices=(*HAND_LABELLED, *AUTOMATIC), help="the set that they belong to")
-    command.add_argument("--pattern", default="*.jpg", help="names of the photos to use, such as *_03.jpg (all)")
+    command.add_argument("folder", type=Path, help="folder of the photos or clips")
+    command.add_argument("set", choices=(*HAND_LABELLED, *AUTOMATIC, CLIPS), help="the set that they belong to")
+    command.add_argument("--pattern", default="*.jpg", help="names to use, such as *_03.jpg (all)")
     add_data_option(command)
     arguments = command.parse_args()
     photos = sorted(arguments.folder.glob(arguments.pattern))
@@ -185,11 +201,11 @@ def main() -> int:
         command.error(f"There is no {arguments.pattern} in {arguments.folder}. Name the folder of the photos.")
     folder = arguments.data / "faces" / arguments.set
     try:
-        left_out = convert(photos, folder, _by_mediapipe())
+        pictures, left_out = convert(photos, folder, _by_mediapipe())
     except OSError as error:
         command.error(f"{error}. Choose another folder by --data.")
-    print(*left_out, f"{folder}: {len(photos) - len(left_out)} photos", sep="\n")
-    return int(len(left_out) == len(photos))
+    print(*left_out, f"{folder}: {pictures} pictures", sep="\n")
+    return int(not pictures)
 
 
 if __name__ == "__main__":

@@ -13,6 +13,8 @@ from facemime.core.face.landmarks import IBUG68_INDICES, MIRROR, OUTER_EYE_CORNE
 HELD_OUT_FILE = Path(__file__).with_name("held_out.txt")
 HAND_LABELLED = ("london_neutral", "canada")
 AUTOMATIC = ("london_smiling", "congress")
+CLIPS = "clips"
+"""Frames of clips of people who talk, with automatic labels; they may be missing."""
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,10 @@ class Photo:
 
 
 def person_of(source: str, name: str) -> str:
-    """Return `london:001` for both images of a London person, `canada:003f`, `congress:001366`."""
+    """Return `london:001` for both images of a London person, `canada:003f`, `congress:001366`, `clips:cap12_edit`."""
     stem = Path(name).stem
+    if source == CLIPS:
+        return f"{source}:{stem.rpartition('_')[0]}"
     return f"london:{stem.split('_')[0]}" if source.startswith("london") else f"{source}:{stem}"
 
 

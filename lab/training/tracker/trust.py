@@ -17,16 +17,17 @@ SMALLEST_EYE_DISTANCE = 28.0
 LARGEST_RESIDUAL = 0.022
 
 
-def trusted_photos(model: PointDistributionModel, photos: list[Photo]) -> list[Photo]:
+def trusted_photos(model: PointDistributionModel, photos: list[Photo], like: list[Photo] | None = None) -> list[Photo]:
     """Return the automatically labelled photos of one source that are large and plausible, with their bias removed.
 
     The tracker that made the labels places points systematically elsewhere than a person does (up to a tenth of the eye
-    distance). That difference is estimated in the head's axes and subtracted at each photo's pose.
+    distance). That difference is estimated in the head's axes, from these photos or, if they show few people, from
+    others that the same tracker labelled (`like`), and subtracted at each photo's pose.
     """
-    large = [p for p in photos if p.eye_distance() >= SMALLEST_EYE_DISTANCE]
-    if not large:
+    large, measured = ([p for p in of if p.eye_distance() >= SMALLEST_EYE_DISTANCE] for of in (photos, like or photos))
+    if not large or not measured:
         return []
-    bias = definition_bias(model, large)
+    bias = definition_bias(model, measured)
     kept = []
     for photo in large:
         pose = model.fit(photo.landmarks, noise=0.02).pose

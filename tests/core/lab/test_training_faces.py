@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from lab.training.faces import LARGEST_SIDE, convert, landmarks_of_template, main, read_template, reduced
+from lab.training.tracker.sources import CLIPS, person_of
 
 BROW, UPPER_LID, LOWER_LID, OUTER_LIPS = range(71, 77), range(18, 23), (18, 28, 29, 30, 22), range(87, 94)
 
@@ -62,7 +63,7 @@ def test_jaw_and_outer_lips_begin_and_end_at_points_of_the_template(points):
 
 def test_landmarks_stay_at_their_place_in_a_photo_that_is_cut_and_reduced(tmp_path, points):
     photo(tmp_path / "001_03.jpg", points)
-    assert convert([tmp_path / "001_03.jpg"], tmp_path / "set", no_face) == []
+    assert convert([tmp_path / "001_03.jpg"], tmp_path / "set", no_face) == (1, [])
     written = np.load(tmp_path / "set" / "landmarks68.npz")
     assert written["names"].tolist() == ["001_03.jpg"]
     image = cv2.imread(str(tmp_path / "set" / "images" / "001_03.jpg"), cv2.IMREAD_GRAYSCALE).astype(float)
@@ -88,7 +89,8 @@ def test_photos_that_cannot_be_used_are_left_out_and_named(tmp_path, points):
     (tmp_path / "e.jpg").write_text("no image")
     photo(tmp_path / "f.jpg", points)
     (tmp_path / "f.tem").unlink()
-    left_out = convert(sorted(tmp_path.glob("*.jpg")), tmp_path / "set", no_face)
+    pictures, left_out = convert(sorted(tmp_path.glob("*.jpg")), tmp_path / "set", no_face)
+    assert pictures == 1
     assert [reason.partition(" is left out: ")[0] for reason in left_out] == [f"{name}.jpg" for name in "bcdef"]
     assert "its template has 106 points" in left_out[0]
     assert "its template is damaged" in left_out[1]
@@ -96,6 +98,31 @@ def test_photos_that_cannot_be_used_are_left_out_and_named(tmp_path, points):
     assert "it is not an image" in left_out[3]
     assert "MediaPipe finds no face" in left_out[4]
     assert np.load(tmp_path / "set" / "landmarks68.npz")["names"].tolist() == ["a.jpg"]
+
+
+def test_every_third_frame_of_a_clip_is_a_picture_of_one_person(tmp_path):
+    clip = cv2.VideoWriter(str(tmp_path / "who_talks.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (64, 48))
+    for shade in range(7):
+        clip.write(np.full((48, 64, 3), 30 * shade, np.uint8))
+    clip.release()
+
+    def lighter(image):
+        return np.full((68, 2), image.mean()) if image.mean() > 10.0 else np.full((68, 2), np.nan)
+
+    pictures, left_out = convert([tmp_path / "who_talks.avi"], tmp_path / "clips", lighter)
+    assert (pictures, left_out) == (2, ["who_talks_0000 is left out: MediaPipe finds no face"])
+    labels = np.load(tmp_path / "clips" / "landmarks68.npz")
+    assert labels["names"].tolist() == ["who_talks_0003.jpg", "who_talks_0006.jpg"]
+    assert np.allclose(labels["pts68"][:, 0, 0], [90.0, 180.0], atol=3.0)
+    assert {person_of(CLIPS, name) for name in labels["names"]} == {"clips:who_talks"}
+
+
+def test_a_clip_that_cannot_be_read_is_left_out_and_named(tmp_path):
+    (tmp_path / "broken.mp4").write_text("no clip")
+    assert convert([tmp_path / "broken.mp4"], tmp_path / "clips", no_face) == (
+        0,
+        ["broken.mp4 is left out: it is not an image"],
+    )
 
 
 def test_a_folder_without_photos_is_one_clear_error(tmp_path, monkeypatch, capsys):
