@@ -11,7 +11,7 @@ from facemime.core.face.names import ACTIONS, N_ACTIONS, action_indices
 from facemime.core.tracking.pdm import PointDistributionModel
 
 from .dress import dress
-from .heads import IctHead, sample_expression, sample_speech
+from .heads import IctHead, bare_teeth, sample_expression, sample_speech, shut_lips
 from .organs import random_eyes
 from .reproject import Scene, SkinnedHead, render
 from .samples import (
@@ -49,15 +49,6 @@ _BROWS = ("browInnerUp", "browDown")
 _PRESSED = action_indices(("mouthPressRight", "mouthPressLeft"))
 _THINNER = 0.45
 """How far pressed lips are also rolled in."""
-_OPENERS = (
-    "jawOpen",
-    "mouthFunnel",
-    "mouthClose",
-    "mouthUpperUp_L",
-    "mouthUpperUp_R",
-    "mouthLowerDown_L",
-    "mouthLowerDown_R",
-)
 _LOOKS = 0.55
 """Angle in radians at which an eye turns its lids as far as an `eyeLook` expression at 1."""
 
@@ -169,7 +160,7 @@ def _sample_actions(
         _seal(head, weights, rng)
     tongue = 0.0
     if rng.random() < _BARED:
-        _bare(head, weights, rng)
+        bare_teeth(head, weights, rng, 0.7)
     elif rng.random() < _TONGUE:
         tongue = rng.uniform(0.15, 1.0)
         for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
@@ -209,7 +200,7 @@ def _thin_pressed_lips(head: IctHead, weights: np.ndarray) -> None:
 
 def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
     """Shut the lips, and press or roll them in, in place."""
-    weights[[head.index(name) for name in _OPENERS]] = 0.0
+    shut_lips(head, weights)
     kind = rng.random()
     if kind < 0.45:
         sides = rng.uniform(0.85, 1.0, 2)
@@ -220,16 +211,6 @@ def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
         both, amount = rng.random(), rng.uniform(0.3, 1.2)
         weights[head.index("mouthRollLower")] = amount * (both < 0.8)
         weights[head.index("mouthRollUpper")] = amount * rng.uniform(0.7, 1.0) * (both > 0.2)
-
-
-def _bare(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
-    """Show teeth in place: lips apart, jaw more or less open, corners drawn aside."""
-    for name in ("mouthRollLower", "mouthRollUpper", "mouthPress_L", "mouthPress_R", "mouthClose"):
-        weights[head.index(name)] = 0.0
-    weights[head.both("cheekPuff")] = 0.0
-    weights[head.index("jawOpen")] = rng.uniform(0.0, 0.7)
-    for name, most in (("mouthUpperUp", 0.9), ("mouthLowerDown", 0.9), ("mouthSmile", 0.9), ("mouthStretch", 0.6)):
-        weights[head.both(name)] = rng.uniform(0.0, most) * rng.uniform(0.7, 1.0, 2)
 
 
 def _follow_gaze(head: IctHead, weights: np.ndarray, gaze: np.ndarray) -> None:

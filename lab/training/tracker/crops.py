@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import cv2
@@ -18,7 +18,9 @@ from .sources import mirrored
 
 SHARE = {1.0: 0.47, 0.6: 0.12, 0.3: 0.41}
 """Share of samples from each source: labelled by hand, smiling, portraits."""
-TRUST = {1.0: 1.0, 0.6: 0.8, 0.3: 0.6}
+FURTHER_SHARE = {1.0: 0.28, 0.6: 0.13, 0.3: 0.44, 0.2: 0.15}
+"""The same for training a part further; the last are clips."""
+TRUST = {1.0: 1.0, 0.6: 0.8, 0.3: 0.6, 0.2: 0.6}
 _HIDDEN = 0.3
 """Weight of an invisible landmark, which has to be guessed from the rest of the face and marked by a wide map."""
 _CLUTTER, _MISPLACED = 0.06, 0.12
@@ -84,12 +86,12 @@ def draw_actions(samples: ActionSamples, part: ActionPart, count: int, rng: np.r
 class Crops:
     """Draws batches from samples."""
 
-    def __init__(self, samples: Samples, rng: np.random.Generator) -> None:
+    def __init__(self, samples: Samples, rng: np.random.Generator, shares: Mapping[float, float] = SHARE) -> None:
         self._samples, self._rng = samples, rng
         weights = np.round(samples.weights.astype(np.float64), 2)
         self._odds = np.zeros(len(samples))
         self._trust = np.ones(len(samples), np.float32)
-        for weight, share in SHARE.items():
+        for weight, share in shares.items():
             rows = weights == weight
             self._odds[rows] = share / max(rows.sum(), 1)
             self._trust[rows] = TRUST[weight]

@@ -130,9 +130,38 @@ _SURPRISE = {
 combine."""
 
 
+_BARED, _SHUT = 0.35, 0.25
+"""Shares of speaking mouths with the teeth (as in s and ch) or the lips together (as in m and p)."""
+_OPENERS = (
+    "jawOpen",
+    "mouthFunnel",
+    "mouthClose",
+    "mouthUpperUp_L",
+    "mouthUpperUp_R",
+    "mouthLowerDown_L",
+    "mouthLowerDown_R",
+)
+_CLOSERS = (
+    "mouthClose",
+    "mouthRollLower",
+    "mouthRollUpper",
+    "mouthShrugLower",
+    "mouthShrugUpper",
+    "mouthPress_L",
+    "mouthPress_R",
+)
+
+
 def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
-    """Random coefficients (E,) of an open mouth, as in speaking or singing, while the rest of the face acts."""
+    """Random coefficients (E,) of a mouth that speaks or sings, while the rest of the face acts."""
     weights = sample_expression(head, rng)
+    kind = rng.random()
+    if kind < _BARED:
+        bare_teeth(head, weights, rng, 0.12)
+        return weights
+    if kind < _BARED + _SHUT:
+        shut_lips(head, weights)
+        return weights
     weights[head.index("mouthClose")] = 0.0
     weights[head.index("jawOpen")] = rng.uniform(0.08, 1.3)
     for name, probability in (("mouthLowerDown", 0.4), ("mouthUpperUp", 0.3), ("mouthStretch", 0.2)):
@@ -141,6 +170,29 @@ def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:
     if rng.random() < 0.3:
         weights[head.index("mouthFunnel")] = rng.random()
     return weights
+
+
+def bare_teeth(head: IctHead, weights: np.ndarray, rng: np.random.Generator, jaw: float) -> None:
+    """Draw the lips apart before the teeth in place, the jaw open by up to `jaw`."""
+    weights[[head.index(name) for name in _CLOSERS]] = 0.0
+    weights[head.both("cheekPuff")] = 0.0
+    weights[head.index("jawOpen")] = rng.uniform(0.0, jaw)
+    weights[head.both("mouthLowerDown")] = rng.uniform(0.1, 1.1) * rng.uniform(0.8, 1.0, 2)
+    weights[head.both("mouthUpperUp")] = rng.uniform(0.0, 1.0) * rng.uniform(0.8, 1.0, 2)
+    shape = rng.random()
+    if shape < 0.35:
+        weights[head.both("mouthStretch")] = rng.uniform(0.0, 0.7)
+    elif shape < 0.6:
+        weights[head.both("mouthSmile")] = rng.uniform(0.0, 0.9) * rng.uniform(0.7, 1.0, 2)
+    elif shape < 0.75:
+        weights[head.index("mouthFunnel")] = rng.uniform(0.0, 0.6)
+    elif shape < 0.85:
+        weights[head.index("mouthPucker")] = rng.uniform(0.0, 0.5)
+
+
+def shut_lips(head: IctHead, weights: np.ndarray) -> None:
+    """Take away in place what parts the lips."""
+    weights[[head.index(name) for name in _OPENERS]] = 0.0
 
 
 def sample_expression(head: IctHead, rng: np.random.Generator) -> np.ndarray:

@@ -27,11 +27,12 @@ _HALF_PRECISION = any(torch.cpu.get_capabilities().get(unit, False) for unit in 
 
 @dataclass(frozen=True)
 class Course:
-    """How a network is trained: the steps, the checkpoint to resume from, and its name in reports."""
+    """How a network is trained: the steps, the checkpoint to resume from, its name in reports, and the highest rate."""
 
     steps: int
     checkpoint: Path
     name: str
+    rate: float = RATE
 
 
 def train_maps(
@@ -63,7 +64,7 @@ def _train(
     decayed = [p for p in network.parameters() if p.ndim > 1]
     free = [p for p in network.parameters() if p.ndim <= 1]
     optimiser = torch.optim.AdamW([{"params": decayed, "weight_decay": 1e-2}, {"params": free, "weight_decay": 0.0}])
-    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=steps, pct_start=0.08)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, course.rate, total_steps=steps, pct_start=0.08)
     average = {k: v.clone() for k, v in network.state_dict().items()}
     done = 0
     if checkpoint.exists():

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import io
 
+import onnx
 import torch
+from onnx import numpy_helper
 from torch import Tensor, nn
 from torch.nn import functional as F
 
@@ -204,3 +206,35 @@ def to_onnx(network: FaceNetwork | PartNetwork | ActionNetwork | DetectorNetwork
         output_names=list(network.outputs),
     )
     return buffer.getvalue()
+
+
+def load_onnx(network: FaceNetwork | PartNetwork, exported: bytes, width: int, height: int) -> None:
+    """Give a network the weights of its own kind that `to_onnx` exported.
+
+    The export multiplies each normalisation into the convolution before it, so that here it leaves what it is given as
+    it is, until it is trained.
+    """
+    graph = onnx.load_from_string(exported).graph
+    weights = {saved.name: torch.from_numpy(numpy_helper.to_array(saved).copy()) for saved in graph.initializer}
+    layers: list[nn.Module] = []
+    hooks = [
+        layer.register_forward_hook(lambda layer, *_: layers.append(layer))
+        for layer in network.modules()
+        if isinstance(layer, nn.Conv2d | nn.BatchNorm2d)
+    ]
+    network.eval()(torch.zeros(1, 1, height, width))  # tells the order of the layers, which is that of the graph
+    for hook in hooks:
+        hook.remove()
+    convolutions = iter([node for node in graph.node if node.op_type == "Conv"])
+    for layer, following in zip(layers, [*layers[1:], None], strict=True):
+        if not isinstance(layer, nn.Conv2d):
+            continue
+        kernel, bias = (weights[name] for name in next(convolutions).input[1:3])
+        layer.weight.data = kernel
+        if isinstance(following, nn.BatchNorm2d):
+            following.weight.data.fill_(1.0)
+            following.bias.data = bias
+            following.running_mean.zero_()
+            following.running_var.fill_(1.0 - following.eps)
+        else:
+            layer.bias.data = bias

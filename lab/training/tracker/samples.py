@@ -20,6 +20,7 @@ from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
 from .reproject import Light, Scene, SkinnedHead, render, skin_head
 from .sources import Photo, mirrored
+from .wrinkles import crease
 
 SIZE = 272
 SCALE = 80.0
@@ -219,7 +220,7 @@ def render_samples(
     weight: float,
     speaking: bool = False,
 ) -> Samples:
-    """Return `count` re-projections of one photo; `speaking` with open mouths and tongues as bright as lips."""
+    """Return `count` re-projections of one photo; `speaking` with mouths that speak and tongues as bright as lips."""
     skinned = skin_photo(head, model, photo, rng)
     tongue = (0.4, 1.3) if speaking else (0.35, 0.75)
     rows = []
@@ -235,6 +236,7 @@ def render_samples(
         behind = backdrop(skinned, picture.landmarks, head, other, rng)
         soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
         image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
+        image = crease(image, picture.landmarks, SCALE, dict(zip(head.names, expression, strict=True)), rng)
         image = dress(image, picture.landmarks, SCALE, rng)
         visible = picture.visible
         if rng.random() < 0.2:

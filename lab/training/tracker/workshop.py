@@ -21,14 +21,14 @@ from facemime.core.tracking.tracker import FaceTracker
 from .acting import ActionSamples, action_samples
 from .boxes import fit_box_offsets
 from .checks import clutter, collect_features, train_check
-from .crops import ActionPart, Crops, draw_actions
+from .crops import FURTHER_SHARE, ActionPart, Crops, draw_actions
 from .definition import definition_offset
 from .detection import SCENE, Heads, Scenes, heads_of, surfaces
 from .heads import load_ict
 from .patches import mirror_samples, reference_set, train_experts
 from .samples import Samples, photo_samples, render_samples
 from .shape_model import build_shape_model
-from .sources import AUTOMATIC, HAND_LABELLED, Photo, read_photos, split
+from .sources import AUTOMATIC, CLIPS, HAND_LABELLED, Photo, read_photos, split
 from .trust import trusted_photos
 
 SEED = 2019
@@ -39,6 +39,8 @@ FRONTAL_BELOW, SIDE_ABOVE = 0.5, 0.22
 N_CLUTTER = 1500
 BATCH = {"face": 64, "glance": 96, "eye": 96, "mouth": 96}
 STEPS = {"face": 7000, "glance": 4000, "eye": 6000, "mouth": 6000}
+FURTHER_STEPS, FURTHER_RATE = 3000, 5e-4
+"""Steps and highest rate by which the network of a part that ships is trained further."""
 VARIANCE = {"face": 0.6, "glance": 0.3, "eye": 0.5, "mouth": 0.5}
 """Variance of the desired maps in cells."""
 FACES = {"face": (36.0, 96, 0.4), "glance": (20.0, 48, 0.15)}
@@ -64,7 +66,7 @@ ACTION_BATCH, ACTION_STEPS = 64, 30_000
 class Recipe:
     """Number of training images per photo of a source, and trust in its labels.
 
-    `renders` show any expression, `speaking` ones an open mouth, `copies` are the photo itself, degraded.
+    `renders` show any expression, `speaking` ones a mouth that speaks, `copies` are the photo itself, degraded.
     """
 
     renders: int
@@ -74,10 +76,11 @@ class Recipe:
 
 
 RECIPES = {
-    "london_neutral": Recipe(68, 22, 36, 1.0),
-    "canada": Recipe(68, 22, 36, 1.0),
-    "london_smiling": Recipe(18, 4, 10, 0.6),
-    "congress": Recipe(10, 4, 3, 0.3),
+    "london_neutral": Recipe(50, 40, 36, 1.0),
+    "canada": Recipe(50, 40, 36, 1.0),
+    "london_smiling": Recipe(12, 10, 24, 0.6),
+    "congress": Recipe(8, 6, 16, 0.3),
+    CLIPS: Recipe(0, 0, 4, 0.2),
 }
 ACTING = {"london_neutral": 96, "canada": 96, "congress": 8}
 """Number of renders of a photo for the expert of actions, and of a held-out photo, the first of which show a face at
@@ -126,6 +129,13 @@ class Workshop:
             photos += trusted_photos(model, split(read_photos(self.data, source))[held_out])
         return photos
 
+    def clips(self) -> list[Photo]:
+        """Frames of clips with corrected labels; none if there are no clips."""
+        if not (self.data / "faces" / CLIPS).is_dir():
+            return []
+        frames, portraits = (split(read_photos(self.data, source))[0] for source in (CLIPS, "congress"))
+        return trusted_photos(self.shape(), frames, like=portraits)
+
     def part(self, number: int, photos: list[Photo], held_out: bool = False) -> Path:
         """A file of training images."""
         path = self.work / ("held_out" if held_out else "samples") / f"{number:03d}.npz"
@@ -148,6 +158,15 @@ class Workshop:
             if not held_out:
                 parts.append(photo_samples(model, photo, self._share(recipe.copies), rng, recipe.weight))
         Samples.join(parts).save(path)
+        return path
+
+    def clip_part(self, number: int, photos: list[Photo]) -> Path:
+        """A file of frames of clips."""
+        path = self.work / CLIPS / f"{number:03d}.npz"
+        if not path.exists():
+            model, rng, recipe = self.shape(), np.random.default_rng((SEED, 52, number)), RECIPES[CLIPS]
+            count = self._share(recipe.copies)
+            Samples.join([photo_samples(model, photo, count, rng, recipe.weight) for photo in photos]).save(path)
         return path
 
     def acting_part(self, number: int, photos: list[Photo], held_out: bool = False) -> Path:
@@ -195,6 +214,21 @@ class Workshop:
                 onnx = to_onnx(part, *size)
             path.write_bytes(onnx)
         return path.read_bytes()
+
+    def further(self, name: str, shipped: TrackerModel) -> bytes:
+        """The network of one of `PARTS` of a model, trained further with all training images and clips, in ONNX."""
+        from .learn import Course, train_maps
+        from .networks import PartNetwork, load_onnx, to_onnx
+
+        landmarks, scale, size, paired = PARTS[name]
+        (before,) = (part for part in shipped.parts if part.paired == paired)
+        network = PartNetwork(len(landmarks))
+        load_onnx(network, before.network.onnx, *size)
+        samples = [self.samples(), *([Samples.load_all(self.work / CLIPS)] if (self.work / CLIPS).is_dir() else [])]
+        crops = Crops(Samples.join(samples), np.random.default_rng((SEED, 51, len(name))), FURTHER_SHARE)
+        course = Course(self._share(FURTHER_STEPS), self.work / f"further_{name}.pt", name, FURTHER_RATE)
+        trained = train_maps(network, lambda: crops.part(BATCH[name], landmarks, scale, size), VARIANCE[name], course)
+        return to_onnx(trained, *size)
 
     def actions(self, name: str) -> bytes:
         """The network of one of `ACTION_PARTS`, in ONNX."""

@@ -13,8 +13,10 @@ from facemime.core.face.names import ACTIONS
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.mesh.triangles import rasterise
 from facemime.core.tracking.tracker import FaceTracker
+from lab.training.data import DATA, has_heads
 from lab.training.tracker.acting import ActionSamples
 from lab.training.tracker.crops import ActionPart, draw_actions
+from lab.training.tracker.heads import load_ict, sample_speech
 from lab.training.tracker.organs import random_eyes, tongue_out
 from lab.training.tracker.patches import mirror_samples
 from lab.training.tracker.samples import SIZE, Samples, degrade
@@ -158,3 +160,17 @@ def test_creases_are_drawn_where_an_action_is_and_only_on_the_face() -> None:
     assert len(changed) > 50
     low, high = landmarks.min(axis=0) - 40.0, landmarks.max(axis=0) + 5.0
     assert ((changed > low) & (changed < high)).all()
+
+
+@pytest.mark.skipif(not has_heads(DATA), reason="../shared/data/heads is missing")
+def test_speaking_mouths_are_open_or_bare_the_teeth_of_a_shut_jaw_or_are_shut() -> None:
+    head, rng = load_ict(DATA), np.random.default_rng(7)
+    at_rest = head.neutral[head.landmarks]
+    spoken = np.array([sample_speech(head, rng) for _ in range(400)])
+    moved = at_rest + np.tensordot(spoken, head.expression[:, head.landmarks], 1)
+    gaps = (moved[:, LOWER_LIPS] - moved[:, UPPER_LIPS])[..., 1].mean(axis=1)
+    gaps -= (at_rest[LOWER_LIPS] - at_rest[UPPER_LIPS])[:, 1].mean()
+    shut_jaw, apart = spoken[:, head.index("jawOpen")] < 0.13, gaps > 0.06
+    assert (shut_jaw & apart).mean() > 0.2
+    assert (gaps < 0.02).mean() > 0.2
+    assert (~shut_jaw & apart).mean() > 0.2

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +16,15 @@ from facemime.core.tracking.network import OUTPUTS, Network, NetworkDetector  # 
 from lab.training.tracker.crops import ActionBatch, Batch  # noqa: E402
 from lab.training.tracker.detection import Heads, Scenes  # noqa: E402
 from lab.training.tracker.learn import Course, train_actions, train_detector, train_maps  # noqa: E402
-from lab.training.tracker.networks import ActionNetwork, DetectorNetwork, FaceNetwork, MapLoss, PartNetwork, to_onnx  # noqa: E402
+from lab.training.tracker.networks import (  # noqa: E402
+    ActionNetwork,
+    DetectorNetwork,
+    FaceNetwork,
+    MapLoss,
+    PartNetwork,
+    load_onnx,
+    to_onnx,
+)
 
 
 def test_the_loss_has_the_gradient_of_its_definition() -> None:
@@ -44,6 +54,20 @@ def test_opencv_runs_the_face_network_as_pytorch_does(size: int) -> None:
     shown = Network(to_onnx(network, 96, 96), "maps", "face")(picture)
     for ours, theirs in zip(shown, expected, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-4)
+
+
+@pytest.mark.parametrize("network", [FaceNetwork, lambda: PartNetwork(23)])
+def test_a_network_that_was_exported_can_be_loaded_to_train_it_further(network: Callable[[], Any]) -> None:
+    torch.manual_seed(6)
+    trained, again = network(), network()
+    with torch.no_grad():
+        trained(torch.randn(8, 1, 48, 48) * 2.0)  # in training, so that the normalisations have seen something
+    shown = torch.randn(2, 1, 48, 48)
+    load_onnx(again, to_onnx(trained, 48, 48), 48, 48)
+    with torch.no_grad():
+        torch.testing.assert_close(again.eval()(shown), trained.eval()(shown), atol=1e-4, rtol=1e-4)
+    again.train()(shown)
+    assert all(torch.isfinite(value).all() for value in again.state_dict().values())
 
 
 def test_the_detector_learns_where_a_spot_is_and_opencv_runs_it_at_any_size(tmp_path: Path) -> None:
