@@ -12,9 +12,12 @@ avatar's mouth opens and widens relative to the performer's, by MediaPipe's land
 from __future__ import annotations
 
 import csv
+import hashlib
+import inspect
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from itertools import combinations
 from pathlib import Path
 
@@ -245,12 +248,19 @@ def by_labels(folder: Path, takes: Path, options: DriveSettings) -> dict[str, tu
 
 
 def take_of(path: Path, tracker: FaceTracker, folder: Path) -> Take:
-    """Track a clip, or read its take from `folder`."""
-    kept = folder / f"{path.stem}-{tracker.model_id}.facetake"
+    """Track a clip, or read its take from `folder` if the model and the code that tracks were the same."""
+    kept = folder / f"{path.stem}-{tracker.model_id}-{_code_of_tracking()}.facetake"
     if not kept.exists():
         tracker.reset()
         save_take(track_video(path, tracker), kept)
     return load_take(kept)
+
+
+@cache
+def _code_of_tracking() -> str:
+    """First digits of the checksum of the code that tracks."""
+    sources = sorted(Path(inspect.getfile(FaceTracker)).parent.glob("*.py"))
+    return hashlib.sha256(b"".join(source.read_bytes() for source in sources)).hexdigest()[:8]
 
 
 def _labelled(clip: Clip, fps: float) -> str:
