@@ -72,7 +72,7 @@ which are common, come often."""
 _MOMENT = 3
 """Number of frames after a loss in which a face is likely to be seen again, and only the first pass is made."""
 _T = TypeVar("_T")
-STAGES = ("detect", "experts", "fit", "check", "gaze", "actions")
+STAGES = ("detect", "experts", "fit", "check", "teeth", "gaze", "actions")
 
 
 @dataclass(frozen=True)

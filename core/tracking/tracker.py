@@ -24,6 +24,7 @@ from .pdm import FittedShape, PointDistributionModel
 from .result import HiddenMouth, TrackResult, project_shape
 from .rivals import Rivals
 from .search import CERTAIN, Candidate, FaceSearch, largest
+from .teeth import bare_teeth
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
@@ -112,6 +113,7 @@ class FaceTracker:
         self._rivals: Rivals | None = None
         self._actions: FloatArray | None = None
         self._mouth = HiddenMouth()
+        self._colour: NDArray[np.uint8] | None = None
 
     @classmethod
     def load(
@@ -163,7 +165,7 @@ class FaceTracker:
 
     @property
     def timings(self) -> dict[str, float]:
-        """Seconds spent in each stage of the last call: "detect", "experts", "fit", "check", "gaze", "actions"."""
+        """Seconds spent in each stage of the last call, as listed in `search.STAGES`."""
         return self.search.timings
 
     def reset(self) -> None:
@@ -259,6 +261,7 @@ class FaceTracker:
         """Begin with an image, and convert it to grey (H, W)."""
         self.search.begin()
         pixels = as_image(image)
+        self._colour = None if pixels.ndim == 2 else pixels
         return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
 
     def _is_same(self, grey: NDArray[np.uint8], followed: Candidate) -> bool:
@@ -332,6 +335,10 @@ class FaceTracker:
         """Return the result for a face, with the actions of `parts`; those of other parts are taken from `before`."""
         pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
         landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
+        began = perf_counter()
+        if self._colour is not None and (bared := bare_teeth(self._colour, pose, landmarks, shape)) is not shape:
+            shape, landmarks = bared, project_shape(bared, pose)
+        self.timings["teeth"] += perf_counter() - began
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
             shape, landmarks = held, project_shape(held, pose)
         began = perf_counter()

@@ -1,0 +1,112 @@
+"""Bared teeth: the lips' inner rims, where lips are red and what is between them is not (method.md, section 3.13).
+
+In grey, the lower teeth of a shut jaw look like a lip with a highlight, and the experts place the rims of lips that
+bare them too close together. Colour tells the two apart.
+"""
+
+from __future__ import annotations
+
+from math import cos, sin
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from ..face.landmarks import LOWER_LIPS, UPPER_LIPS, from_ibug
+from ..numeric.arrays import FloatArray
+
+_SCALE = 80.0
+"""Pixels per outer-eye distance of the crop."""
+_HEIGHT = 96
+"""Height of the crop in pixels: a mouth that is wide open."""
+_WIDTH = 13
+"""Width of the crop in pixels: the middle of the mouth, whose rows are averaged."""
+_MARGIN = 1.5
+"""Distance in pixels from between the tracked rims within which teeth have to begin."""
+_THINNEST = 1.6
+"""Thickness in pixels that is left of a lip."""
+_FAINT, _CLEAR = 10.0, 18.0
+"""Differences in redness (a* of CIELAB) between lips and teeth from which teeth count at all, and in full."""
+_PALE, _PINK = 0.3, 0.5
+"""Redness of teeth relative to lips up to which they count in full, and from which not at all: gums and tongues are
+red, highlights on lips pink."""
+_HALF_WAY = 0.5
+"""Where the rim is between teeth and lip, as a share of the difference in redness."""
+_TURNED = 0.7
+"""Yaw in radians from which the middle of the mouth is not seen well enough."""
+_STEEPEST = 0.5
+"""Smallest cosine of the pitch by which heights in the image are divided."""
+_RIMS = np.r_[from_ibug([51]), UPPER_LIPS, LOWER_LIPS, from_ibug([57])]
+
+
+def bare_teeth(image: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> FloatArray:
+    """Return `shape` with the inner rims of the lips as far apart as teeth are seen; `shape` itself if none are.
+
+    `image` is BGR (H, W, 3); `pose` (6,), `landmarks` (66, 2) in pixels and `shape` (66, 3), in the head frame and
+    outer-eye distances, are as in `TrackResult`.
+    """
+    scale, pitch, yaw, roll, *_ = pose.tolist()
+    if abs(yaw) > _TURNED:
+        return shape
+    middle = 0.5 * (landmarks[_RIMS[0]] + landmarks[_RIMS[-1]])
+    away = (landmarks[_RIMS] - middle) @ np.array([-sin(roll), cos(roll)])
+    rows = (away * (_SCALE / scale) + (_HEIGHT - 1) / 2.0).tolist()
+    up, down = _hidden(_redness(image, scale, roll, middle), rows[0], sum(rows[1:4]) / 3, sum(rows[4:7]) / 3, rows[7])
+    if up <= 0.0 and down <= 0.0:
+        return shape
+    out = shape.copy()
+    upright = _SCALE * max(cos(pitch), _STEEPEST)
+    out[UPPER_LIPS, 1] -= up / upright
+    out[LOWER_LIPS, 1] += down / upright
+    return out
+
+
+def _redness(image: NDArray[np.uint8], scale: float, roll: float, middle: FloatArray) -> list[float]:
+    """Redness of each row of the crop around `middle`, averaged over its width."""
+    c, s = cos(roll) * scale / _SCALE, sin(roll) * scale / _SCALE
+    across, along = (_WIDTH - 1) / 2.0, (_HEIGHT - 1) / 2.0
+    x, y = middle.tolist()
+    to_image = np.array([[c, -s, x - c * across + s * along], [s, c, y - s * across - c * along]])
+    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+    crop = cv2.warpAffine(image, to_image, (_WIDTH, _HEIGHT), flags=flags, borderMode=cv2.BORDER_REPLICATE)
+    red = cv2.cvtColor(crop, cv2.COLOR_BGR2LAB)[:, :, 1]
+    out: list[float] = red.mean(axis=1).tolist()
+    return out
+
+
+def _hidden(red: list[float], top: float, upper: float, lower: float, bottom: float) -> tuple[float, float]:
+    """Pixels by which the inner rims, at the rows `upper` and `lower`, have to move up and down to bare the teeth.
+
+    `top` and `bottom` are the rows of the outer rims.
+    """
+    first, last = max(int(np.ceil(top)), 0), min(int(bottom), _HEIGHT - 1)
+    begin, end = max(int(np.ceil(upper - _MARGIN)), first + 1), min(int(lower + _MARGIN), last - 2)
+    if begin > end:
+        return 0.0, 0.0
+    teeth = min(range(begin, end + 1), key=red.__getitem__)
+    pale, above, below = red[teeth], max(red[first:begin]), max(red[end + 1 : last + 1])
+    # Grey is 128 in 8 bits.
+    lips = min(above, below)
+    seen = _ramp(lips - pale, _FAINT, _CLEAR) * (1.0 - _ramp((pale - 128.0) / max(lips - 128.0, 1e-3), _PALE, _PINK))
+    if seen <= 0.0:
+        return 0.0, 0.0
+    rise = _rim(red, teeth, -1, pale + _HALF_WAY * (above - pale), first)
+    fall = _rim(red, teeth, 1, pale + _HALF_WAY * (below - pale), last)
+    up = min(upper - rise, upper - top - _THINNEST)
+    down = min(fall - lower, bottom - lower - _THINNEST)
+    return seen * max(up, 0.0), seen * max(down, 0.0)
+
+
+def _rim(red: list[float], row: int, step: int, level: float, end: int) -> float:
+    """Where the redness reaches `level`, from `row` in steps of 1 or -1, but not beyond `end`."""
+    while row != end and red[row + step] < level:
+        row += step
+    if row == end:
+        return float(row)
+    here, there = red[row], red[row + step]
+    return row + step * min(max((level - here) / (there - here), 0.0), 1.0) if there > here else float(row)
+
+
+def _ramp(value: float, low: float, high: float) -> float:
+    """From 0 at `low` to 1 at `high`."""
+    return min(max((value - low) / (high - low), 0.0), 1.0)
