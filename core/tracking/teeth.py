@@ -62,15 +62,15 @@ def bare_teeth(image: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray
 
 
 def _redness(image: NDArray[np.uint8], scale: float, roll: float, middle: FloatArray) -> list[float]:
-    """Redness of each row of the crop around `middle`, averaged over its width."""
+    """Redness of the mean colour of each row of the crop around `middle`."""
     c, s = cos(roll) * scale / _SCALE, sin(roll) * scale / _SCALE
     across, along = (_WIDTH - 1) / 2.0, (_HEIGHT - 1) / 2.0
     x, y = middle.tolist()
     to_image = np.array([[c, -s, x - c * across + s * along], [s, c, y - s * across - c * along]])
     flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
     crop = cv2.warpAffine(image, to_image, (_WIDTH, _HEIGHT), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    red = cv2.cvtColor(crop, cv2.COLOR_BGR2LAB)[:, :, 1]
-    out: list[float] = red.mean(axis=1).tolist()
+    rows = cv2.cvtColor(cv2.reduce(crop, 1, cv2.REDUCE_AVG), cv2.COLOR_BGR2LAB)
+    out: list[float] = rows[:, 0, 1].tolist()
     return out
 
 
