@@ -15,11 +15,11 @@ from ..numeric.arrays import FloatArray
 
 @dataclass(frozen=True)
 class ReferenceFrame:
-    """A grey crop and the similarity ``reference = linear @ image + offset`` that maps the image to it.
+    """A crop and the similarity ``reference = linear @ image + offset`` that maps the image to it.
 
     Attributes
     ----------
-    pixels : (H, W) uint8
+    pixels : (H, W) or (H, W, 3) uint8
         The crop.
     turn : (float, float)
         First row of `linear`; the second is the first, rotated by 90 degrees.
@@ -61,12 +61,15 @@ def translate_pose(pose: FloatArray, x: float, y: float) -> FloatArray:
     return pose_in_image(np.array([1.0, pose[1], pose[2], 0.0, x, y]), pose)
 
 
-def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> ReferenceFrame:
+def warp_to_reference(
+    image: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]
+) -> ReferenceFrame:
     """Crop a face, upright, to `size` (width, height) in pixels, at `scale` pixels per outer-eye distance.
 
-    The translation of the pose (6,), in the image frame, becomes the centre of the crop. Beyond the border of the
-    image, border pixels are repeated. Only the visible part of the image is processed. If the face is much larger than
-    the crop, the image is reduced by an integer factor first, as the bilinear warp would alias.
+    The image is grey or BGR. The translation of the pose (6,), in the image frame, becomes the centre of the crop.
+    Beyond the border of the image, border pixels are repeated. Only the visible part of the image is processed. If the
+    face is much larger than the crop, the image is reduced by an integer factor first, as the bilinear warp would
+    alias.
     """
     # Python floats, as operations on numpy scalars take ten times as long.
     pose_scale, _, _, roll, x, y = pose.tolist()
@@ -77,7 +80,7 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
     # Half the sides of the crop's bounding box in the image.
     along, across = 0.5 * abs(c) / gain**2, 0.5 * abs(s) / gain**2
     reach = (along * width + across * height + 2.0, across * width + along * height + 2.0)
-    patch, step, left, top = _shrunk_region(grey, x, y, reach, int(1.0 / gain))
+    patch, step, left, top = _shrunk_region(image, x, y, reach, int(1.0 / gain))
     # Pixel centres: pixel j of the reduced image is at corner + step * j + (step - 1) / 2 in the image.
     left, top = left + (step - 1) / 2.0, top + (step - 1) / 2.0
     local = np.array(
@@ -91,17 +94,17 @@ def warp_to_reference(grey: NDArray[np.uint8], pose: FloatArray, scale: float, s
 
 
 def _shrunk_region(
-    grey: NDArray[np.uint8], x: float, y: float, reach: tuple[float, float], step: int
+    image: NDArray[np.uint8], x: float, y: float, reach: tuple[float, float], step: int
 ) -> tuple[NDArray[np.uint8], int, float, float]:
     """Return the part of the image within `reach` (x, y) pixels of (x, y), reduced by averaging step x step pixels.
 
     Also return the step that was used, and the position of the first pixel in the image.
     """
-    height, width = grey.shape
+    height, width = image.shape[:2]
     left, right = _span(x, reach[0], width, step)
     top, bottom = _span(y, reach[1], height, step)
-    region = grey[top:bottom, left:right]
-    if step < 2 or min(region.shape) < 2 * step:
+    region = image[top:bottom, left:right]
+    if step < 2 or min(region.shape[:2]) < 2 * step:
         return region, 1, left, top
     rows, columns = region.shape[0] // step, region.shape[1] // step
     whole = region[: rows * step, : columns * step]

@@ -6,7 +6,7 @@ bare them too close together. Colour tells the two apart.
 
 from __future__ import annotations
 
-from math import cos, sin
+from math import cos
 
 import cv2
 import numpy as np
@@ -14,22 +14,27 @@ from numpy.typing import NDArray
 
 from ..face.landmarks import LOWER_LIPS, UPPER_LIPS, from_ibug
 from ..numeric.arrays import FloatArray
+from .reference import warp_to_reference
 
 _SCALE = 80.0
 """Pixels per outer-eye distance of the crop."""
-_HEIGHT = 96
-"""Height of the crop in pixels: a mouth that is wide open."""
 _WIDTH = 13
 """Width of the crop in pixels: the middle of the mouth, whose rows are averaged."""
+_HEIGHT = 96
+"""Height of the crop in pixels: a mouth that is wide open."""
 _MARGIN = 1.5
 """Distance in pixels from between the tracked rims within which teeth have to begin."""
 _THINNEST = 1.6
 """Thickness in pixels that is left of a lip."""
-_FAINT, _CLEAR = 10.0, 18.0
-"""Differences in redness (a* of CIELAB) between lips and teeth from which teeth count at all, and in full."""
-_PALE, _PINK = 0.3, 0.5
-"""Redness of teeth relative to lips up to which they count in full, and from which not at all: gums and tongues are
-red, highlights on lips pink."""
+_FAINT = 10.0
+"""Difference in redness (a* of CIELAB) between lips and teeth from which teeth count. This and the next three were
+chosen on one half of the strangers' clips (`lab.bench.strangers`)."""
+_CLEAR = 18.0
+"""Difference from which they count in full."""
+_PALE = 0.3
+"""Redness relative to that of the lips up to which teeth count in full."""
+_PINK = 0.5
+"""Relative redness from which nothing counts as teeth: gums and tongues are red, highlights on lips pink."""
 _HALF_WAY = 0.5
 """Where the rim is between teeth and lip, as a share of the difference in redness."""
 _TURNED = 0.7
@@ -37,6 +42,7 @@ _TURNED = 0.7
 _STEEPEST = 0.5
 """Smallest cosine of the pitch by which heights in the image are divided."""
 _RIMS = np.r_[from_ibug([51]), UPPER_LIPS, LOWER_LIPS, from_ibug([57])]
+"""Landmarks in the middle of the mouth, downwards: outer rim, inner rims, outer rim."""
 
 
 def bare_teeth(image: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> FloatArray:
@@ -45,32 +51,20 @@ def bare_teeth(image: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray
     `image` is BGR (H, W, 3); `pose` (6,), `landmarks` (66, 2) in pixels and `shape` (66, 3), in the head frame and
     outer-eye distances, are as in `TrackResult`.
     """
-    scale, pitch, yaw, roll, *_ = pose.tolist()
-    if abs(yaw) > _TURNED:
+    if abs(pose[2]) > _TURNED:
         return shape
-    middle = 0.5 * (landmarks[_RIMS[0]] + landmarks[_RIMS[-1]])
-    away = (landmarks[_RIMS] - middle) @ np.array([-sin(roll), cos(roll)])
-    rows = (away * (_SCALE / scale) + (_HEIGHT - 1) / 2.0).tolist()
-    up, down = _hidden(_redness(image, scale, roll, middle), rows[0], sum(rows[1:4]) / 3, sum(rows[4:7]) / 3, rows[7])
+    rims, place = landmarks[_RIMS], pose.copy()
+    place[4:6] = 0.5 * (rims[0] + rims[-1])
+    crop = warp_to_reference(image, place, _SCALE, (_WIDTH, _HEIGHT))
+    red: list[float] = cv2.cvtColor(cv2.reduce(crop.pixels, 1, cv2.REDUCE_AVG), cv2.COLOR_BGR2LAB)[:, 0, 1].tolist()
+    rows = (rims @ crop.linear[1] + crop.shift[1]).tolist()
+    up, down = _hidden(red, rows[0], sum(rows[1:4]) / 3.0, sum(rows[4:7]) / 3.0, rows[7])
     if up <= 0.0 and down <= 0.0:
         return shape
     out = shape.copy()
-    upright = _SCALE * max(cos(pitch), _STEEPEST)
+    upright = _SCALE * max(cos(pose[1]), _STEEPEST)
     out[UPPER_LIPS, 1] -= up / upright
     out[LOWER_LIPS, 1] += down / upright
-    return out
-
-
-def _redness(image: NDArray[np.uint8], scale: float, roll: float, middle: FloatArray) -> list[float]:
-    """Redness of the mean colour of each row of the crop around `middle`."""
-    c, s = cos(roll) * scale / _SCALE, sin(roll) * scale / _SCALE
-    across, along = (_WIDTH - 1) / 2.0, (_HEIGHT - 1) / 2.0
-    x, y = middle.tolist()
-    to_image = np.array([[c, -s, x - c * across + s * along], [s, c, y - s * across - c * along]])
-    flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
-    crop = cv2.warpAffine(image, to_image, (_WIDTH, _HEIGHT), flags=flags, borderMode=cv2.BORDER_REPLICATE)
-    rows = cv2.cvtColor(cv2.reduce(crop, 1, cv2.REDUCE_AVG), cv2.COLOR_BGR2LAB)
-    out: list[float] = rows[:, 0, 1].tolist()
     return out
 
 

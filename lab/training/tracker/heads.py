@@ -130,8 +130,10 @@ _SURPRISE = {
 combine."""
 
 
-_BARED, _SHUT = 0.35, 0.25
-"""Shares of speaking mouths with the teeth (as in s and ch) or the lips together (as in m and p)."""
+_BARED = 0.35
+"""Share of speaking mouths with the teeth together, as in s and ch."""
+_SHUT = 0.25
+"""Share of those with the lips together, as in m and p."""
 _OPENERS = (
     "jawOpen",
     "mouthFunnel",
@@ -141,6 +143,7 @@ _OPENERS = (
     "mouthLowerDown_L",
     "mouthLowerDown_R",
 )
+"""Expressions that part the lips."""
 _CLOSERS = (
     "mouthClose",
     "mouthRollLower",
@@ -150,6 +153,7 @@ _CLOSERS = (
     "mouthPress_L",
     "mouthPress_R",
 )
+"""Expressions that need shut lips, or shut them."""
 
 
 def sample_speech(head: IctHead, rng: np.random.Generator) -> np.ndarray:

@@ -39,8 +39,10 @@ FRONTAL_BELOW, SIDE_ABOVE = 0.5, 0.22
 N_CLUTTER = 1500
 BATCH = {"face": 64, "glance": 96, "eye": 96, "mouth": 96}
 STEPS = {"face": 7000, "glance": 4000, "eye": 6000, "mouth": 6000}
-FURTHER_STEPS, FURTHER_RATE = 3000, 5e-4
-"""Steps and highest rate by which the network of a part that ships is trained further."""
+FURTHER_STEPS = 3000
+"""Steps by which the network of a part that ships is trained further."""
+FURTHER_RATE = 5e-4
+"""Highest rate of these steps, a sixth of that from the beginning."""
 VARIANCE = {"face": 0.6, "glance": 0.3, "eye": 0.5, "mouth": 0.5}
 """Variance of the desired maps in cells."""
 FACES = {"face": (36.0, 96, 0.4), "glance": (20.0, 48, 0.15)}

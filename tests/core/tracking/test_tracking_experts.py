@@ -139,6 +139,15 @@ def test_a_face_outside_the_image_still_has_a_frame() -> None:
         assert np.isfinite(frame.pixels).all()
 
 
+@pytest.mark.parametrize(("scale", "x"), [(30.0, 200.0), (220.0, 180.0), (90.0, 395.0)])
+def test_a_colour_image_is_cropped_as_each_of_its_channels(scale: float, x: float) -> None:
+    colour = np.stack([picture(seed) for seed in range(3)], axis=2)
+    pose = np.array([scale, 0.0, 0.0, 0.3, x, 120.0])
+    cropped = warp_to_reference(colour, pose, 40.0, (96, 80)).pixels
+    channels = [warp_to_reference(colour[..., k], pose, 40.0, (96, 80)).pixels for k in range(3)]
+    np.testing.assert_allclose(cropped.astype(int), np.stack(channels, axis=2).astype(int), atol=1)
+
+
 def test_the_experts_of_actions_measure_each_action_once(model) -> None:
     measured = np.concatenate([part.measured for part in model.actions])
     assert sorted(measured.tolist()) == list(range(N_ACTIONS))
