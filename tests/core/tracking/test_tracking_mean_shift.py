@@ -81,6 +81,27 @@ def test_without_evidence_the_shape_returns_to_the_mean(pdm: PointDistributionMo
     assert np.abs(fitted.shape_params).max() < 0.05 * np.abs(start.shape_params).max()
 
 
+def test_without_evidence_a_held_fit_stays_where_it_starts(pdm: PointDistributionModel) -> None:
+    truth, start = displaced_face(pdm, 2)
+    options = MeanShiftOptions((4.0,) * 3, 1e-3, held=np.array([1.0, 0.05, 0.05, 0.02, 1.0, 1.0]))
+    fitted = regularised_mean_shift(pdm, start, [Evidence(peaks_at(truth, truth, 5), np.zeros(66))], options)
+    np.testing.assert_allclose(fitted.pose, start.pose, atol=1e-9)
+    np.testing.assert_allclose(fitted.shape_params, start.shape_params, atol=1e-9)
+
+
+@pytest.mark.parametrize("free", [0.1, 1.0, 10.0])
+def test_the_pose_moves_the_farther_the_less_it_is_held(pdm: PointDistributionModel, free: float) -> None:
+    truth, start = displaced_face(pdm, 5)
+    maps = [Evidence(peaks_at(truth, pdm.project(start.pose, start.shape_params), 14), np.ones(66))]
+
+    def moved(factor: float) -> float:
+        held = factor * np.array([1.0, 0.05, 0.05, 0.02, 1.0, 1.0])
+        fitted = regularised_mean_shift(pdm, start, maps, MeanShiftOptions((np.inf,) * 4, 1.0, held=held))
+        return float(np.abs(fitted.pose - start.pose)[4:6].max())
+
+    assert moved(0.3 * free) < moved(free)
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_occluded_landmarks_are_down_weighted_and_follow_the_others(pdm: PointDistributionModel, seed: int) -> None:
     truth, start = displaced_face(pdm, seed)

@@ -68,3 +68,15 @@ def test_maps_are_centred_on_the_landmarks_in_the_face_frame() -> None:
     assert np.abs(centre - shape).max() <= 0.5 / experts.scale + 1e-6
     np.testing.assert_allclose(maps.likelihood.max((1, 2)), highest**2, rtol=1e-5)
     assert ((highest > 0) & (highest < 1)).all()
+
+
+def test_experts_of_some_landmarks_respond_as_those_of_all() -> None:
+    experts, grey = random_experts(9), random_picture(10, 200)
+    shape = np.random.default_rng(11).uniform(-0.5, 0.5, (66, 2))
+    some, pose = np.array([60, 3, 41]), np.array([60.0, 0.0, 0.1, -0.2, 100.0, 95.0])
+    (every, highest), (few, theirs) = experts.respond(grey, pose, shape), experts.of(some).respond(grey, pose, shape)
+    np.testing.assert_array_equal(few.landmarks, some)
+    np.testing.assert_allclose(few.corner, every.corner[some], atol=1e-6)
+    # Crops of other extents are warped alike, but for the rounding of the warp to 1/32 pixel.
+    np.testing.assert_allclose(theirs, highest[some], atol=0.05)
+    np.testing.assert_allclose(few.likelihood, every.likelihood[some], atol=0.05)
