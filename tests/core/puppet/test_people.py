@@ -16,24 +16,24 @@ from facemime.core.puppet.outputs import LiveHead
 from facemime.core.puppet.sources import LiveFrame
 from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.tracking.people import PeopleRoles
-from facemime.core.tracking.tracker import FaceTracker
 from tests.core.puppet.test_live_worker import Listed, Recorded, run
 
 PORTRAITS = Path(__file__).parents[2] / "data" / "portraits"
+FACES = {"collins.jpg": (59.3, 133.5, 108.9), "hopper.jpg": (114.9, 177.2, 182.5)}
+"""Distance between the outer corners of the eyes, and the middle of the face, in pixels."""
 SIDE = 300
 BOTH = LiveOptions(smoothing=0.0, people=(0, 0))
 
 
 @pytest.fixture(scope="module")
 def couple() -> np.ndarray:
-    """An image of two people side by side."""
-    tracker, sides = FaceTracker.load(), []
-    for name in ("collins.jpg", "hopper.jpg"):
-        image = read_image(PORTRAITS / name)
-        pose = tracker.locate(image).pose
-        scale = 70.0 / pose[0]
-        matrix = np.column_stack([scale * np.eye(2), SIDE / 2.0 - scale * pose[4:6]])
-        sides.append(cv2.warpAffine(image, matrix, (SIDE, SIDE), borderMode=cv2.BORDER_REPLICATE))
+    """An image of two people side by side, their eyes 70 pixels apart."""
+    sides = []
+    for name, (eyes, x, y) in FACES.items():
+        scale = 70.0 / eyes
+        matrix = np.column_stack([scale * np.eye(2), SIDE / 2.0 - scale * np.array([x, y])])
+        picture = read_image(PORTRAITS / name)
+        sides.append(cv2.warpAffine(picture, matrix, (SIDE, SIDE), borderMode=cv2.BORDER_REPLICATE))
     return np.hstack(sides)
 
 
