@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, MIRROR
 from ..numeric.arrays import FloatArray, IntArray
+from ..numeric.linalg import multiply
 from .network import Network
 from .reference import translate_pose, warp_to_reference
 
@@ -65,7 +66,7 @@ class ResponseMaps:
         """Mean position (n, 2) and total variance (n,) of each map."""
         count, height, width = self.likelihood.shape
         # Sums of 1, x, y and x^2 + y^2 by a single product; coordinates from the centre suit single precision.
-        sums = np.einsum("nc,pc->np", self.likelihood.reshape(count, -1), _powers(width, height))
+        sums = multiply(self.likelihood.reshape(count, -1), _powers(width, height).T)
         sums *= 1.0 / sums[:, :1]
         mean = sums[:, 1:3]
         variance = sums[:, 3] - np.square(mean).sum(axis=1)
@@ -177,7 +178,14 @@ class FaceExperts:
 
     def respond(self, grey: NDArray[np.uint8], pose: FloatArray) -> tuple[ResponseMaps, float]:
         """Return the maps of all landmarks in the face frame of an approximate pose, and the log odds of a face."""
-        maps, face = self.network(crop_face(grey, pose, self.scale, self.size)[None])
+        return self.read(*self.network(self.crop(grey, pose)))
+
+    def crop(self, grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
+        """Crop the input (1, size, size) of the network."""
+        return crop_face(grey, pose, self.scale, self.size)[None]
+
+    def read(self, maps: NDArray[np.float32], face: NDArray[np.float32]) -> tuple[ResponseMaps, float]:
+        """Return what `respond` does, from the outputs of the network."""
         return ResponseMaps(_ALL, _likelihood(maps[0]), self._corner, self._stride), float(face.mean())
 
     @cached_property
@@ -266,8 +274,19 @@ class PartExperts(FacePart):
         Maps and shape are in the face frame of `pose` (6,); the crop lies `higher` outer-eye distances above that
         shape.
         """
-        centres = self._averages @ shape - (0.0, higher)
-        (maps,) = self.network(self.crops(grey, (translate_pose(pose, *centre) for centre in centres.tolist())))
+        centres = self.centres(shape) - (0.0, higher)
+        return self.read(*self.network(self.crops_at(grey, pose, centres)), centres)
+
+    def centres(self, shape: FloatArray) -> FloatArray:
+        """Return the centres of the crops, (1 or 2, 2), for landmarks (66, 2); both in the face frame."""
+        return np.asarray(self._averages @ shape)
+
+    def crops_at(self, grey: NDArray[np.uint8], pose: FloatArray, centres: FloatArray) -> NDArray[np.float32]:
+        """Crop the input of the network at the `centres`, in the face frame of `pose` (6,)."""
+        return self.crops(grey, (translate_pose(pose, *centre) for centre in centres.tolist()))
+
+    def read(self, maps: NDArray[np.float32], centres: FloatArray) -> ResponseMaps:
+        """Return what `respond` does, from the output of the network for crops at the `centres`."""
         if self.paired:
             maps[1] = maps[1, :, :, ::-1]
         corner = (centres + self._first_cell).astype(np.float32)

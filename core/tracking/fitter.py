@@ -60,7 +60,7 @@ class FitStage:
 # The table of section 3.4. Three rounds, each with its own Jacobian, let the pose turn far from that of a detected box.
 _APPROACH = MeanShiftOptions((inf,), 0.006)
 COARSE = FitStage(False, (_APPROACH, _APPROACH, _APPROACH, MeanShiftOptions((0.02, 0.01), 0.006, outlier_scale=0.05)))
-FINE = FitStage(True, (MeanShiftOptions((inf, inf, inf), 2e-4, outlier_scale=0.03),))
+FINE = FitStage(True, (MeanShiftOptions((inf, inf), 2e-4, outlier_scale=0.03),))
 _HELD = np.array([0.02, 0.05, 0.05, 0.02, 0.01, 0.01])
 """Standard deviations of the pose in the refinement of edges: as a factor, in radians, and in eye distances."""
 _EDGES = MeanShiftOptions((4e-4, 2e-4), 6e-5, held=_HELD)
@@ -166,20 +166,26 @@ class FaceFitter:
     ) -> tuple[ResponseMaps, float, list[ResponseMaps]]:
         """Return the maps of the face, its log odds and the maps of its parts, in the face frame of `pose` (6,).
 
-        The first part, the eyes, takes as long as the others and the glance together, which are seen in another thread.
+        The network of the first part, the eyes, takes as long as the others', which run in the second thread; all else
+        is done here, as Python runs one thread at a time.
         """
         if not parts:
             return *self._model.face.respond(grey, pose), []
         shape = self._fitted_pdm.project(local.pose, local.shape_params)
-        first, *others = self._model.parts
-
-        def beside() -> tuple[tuple[ResponseMaps, float], list[ResponseMaps]]:
-            return self._model.glance.respond(grey, pose), [self._respond(p, grey, pose, shape) for p in others]
-
-        seen = self.second_thread.begin(beside)
-        maps = [self._respond(first, grey, pose, shape)]
-        (face, log_odds), rest = seen.result()
-        return face, log_odds, maps + rest
+        glance, (first, *others) = self._model.glance, self._model.parts
+        centres = [part.centres(shape) for part in others]
+        whole, crops = (
+            glance.crop(grey, pose),
+            [p.crops_at(grey, pose, c) for p, c in zip(others, centres, strict=True)],
+        )
+        outputs = self.second_thread.begin(
+            lambda: (glance.network(whole), [p.network(crop) for p, crop in zip(others, crops, strict=True)])
+        )
+        maps = [self._raised(first, first.respond(grey, pose, shape), grey, pose, shape)]
+        of_face, of_parts = outputs.result()
+        for part, (output,), centre in zip(others, of_parts, centres, strict=True):
+            maps.append(self._raised(part, part.read(output, centre), grey, pose, shape))
+        return *glance.read(*of_face), maps
 
     def _judge(
         self, face: ResponseMaps, log_odds: float, maps: list[ResponseMaps], shape: FloatArray
@@ -204,12 +210,13 @@ class FaceFitter:
         local = _in_face_frame(fitted)
         return self._fitted_pdm.project(local.pose, local.shape_params)
 
-    def _respond(self, part: PartExperts, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> ResponseMaps:
-        """Compute the response maps of a part. Brows that are not seen in its crop are sought above it (section 3.3).
+    def _raised(
+        self, part: PartExperts, maps: ResponseMaps, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray
+    ) -> ResponseMaps:
+        """Return the maps of a part, with brows that are not seen in its crop sought above it (section 3.3).
 
         The crop lies around the landmarks of the previous frame; a brow that is suddenly raised high is outside.
         """
-        maps = part.respond(grey, pose, shape)
         brows = part.brows
         if not brows.any():
             return maps
