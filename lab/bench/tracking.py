@@ -37,7 +37,7 @@ from lab.bench.accuracy import (
 from lab.bench.crossing import on_crossings
 from lab.bench.exact import AXES, EYES, FPS, Clip, ExactFaces, shown_size
 from lab.bench.figures import draw_tracking
-from lab.bench.peers import Ours, Peer, add_options, chosen_peers
+from lab.bench.peers import Live, Ours, Peer, add_options, chosen_peers
 from lab.bench.report import finish, parser
 from lab.bench.tracking_tables import tables
 from lab.training.tracker.sources import HAND_LABELLED, Photo, read_photos, split
@@ -60,8 +60,10 @@ def main() -> int:
     videos = sorted((arguments.data / "videos").glob("*.mp4"))
     measured = {peer.name: measure(peer, photos, exact, clips, videos) for peer in peers}
     numbers: dict[str, object] = {"model": tracker.model_id, "people": arguments.people, "trackers": measured}
-    numbers["paces"] = paces(peers, clips[-1].frames)
-    if any(isinstance(p, Ours) for p in peers):
+    ours = any(isinstance(p, Ours) for p in peers)
+    live = [Live(FaceTracker.load(arguments.model, gradual=True))] if ours else []
+    numbers["paces"] = paces([*peers, *live], clips[-1].frames)
+    if ours:
         numbers["stages"] = stage_times(tracker)
         numbers["smoothing"] = on_smoothing(tracker, photos[::3], clips)
         numbers["crossings"] = on_crossings(tracker, clips[:-1])
@@ -219,12 +221,16 @@ def on_video(peer: Peer, path: Path) -> dict[str, float]:
 
 
 def paces(peers: list[Peer], frames: list[np.ndarray]) -> dict[str, float]:
-    """Median milliseconds per frame; trackers take turns, so that other load affects all of them."""
+    """Median milliseconds per frame; trackers take turns, so that other load affects all of them.
+
+    Their order changes, as threads of some still run for a moment when the next begins.
+    """
     seconds: dict[str, list[float]] = {peer.name: [] for peer in peers}
+    order = np.random.default_rng(0)
     for peer in peers:
         peer.reset()
     for frame in frames:
-        for peer in peers:
+        for peer in (peers[i] for i in order.permutation(len(peers))):
             began = perf_counter()
             peer.track(frame)
             seconds[peer.name].append(perf_counter() - began)

@@ -70,6 +70,12 @@ class Ours:
         self.tracker.reset()
 
 
+class Live(Ours):
+    """Facemime's tracker as it runs live, where some work is spread over frames."""
+
+    name = "Facemime, live"
+
+
 def available_peers(data: Path, tracker: FaceTracker) -> tuple[list[Peer], list[str]]:
     """Return the installed peers, Facemime's tracker first, and why others are skipped."""
     from .dlib68 import Dlib
