@@ -37,10 +37,15 @@ from .drive_settings import Mode
 
 _FACING_LIPS = ((UPPER_LIP, LOWER_LIP), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks of the outer and the inner lips."""
-_LIP_GAIN = (1.4, 1.5)
+_LIP_GAIN = (1.4, 1.4)
 """Gains of the lips' motion across and down. The tracker underestimates this motion, as its experts are uncertain about
 lips and its shape model draws them towards the mean. Chosen on one half of the strangers' clips (`lab.bench.strangers`)
 for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled clips do not suffer."""
+_SHUT = 0.01
+"""Distance in eye distances from rest up to which parted lips are shut. Shut lips are tracked as up to this far apart
+in nine of ten frames. This and the next were chosen on one half of the strangers' clips (`lab.bench.strangers`)."""
+_PARTED = 0.035
+"""Distance from which they are as far apart as they are seen."""
 _BROW_GAIN = 1.1
 """Gain of the brows' motion up and down. On rendered clips of twelve people with exact landmarks, they are tracked as
 moving 0.91 times as far, on both halves."""
@@ -60,7 +65,8 @@ class Retargeter:
     in the paper. `strength` (3,) holds factors of the regions upper, middle and lower; `mouth_gain`, from `Neutral`, is
     a further factor of the vertical motion of the lower region. `shut`, from `Neutral`, is the lid opening of the
     performer at which the avatar's lids meet. `compensate` is whether to compensate for the tracker's errors: it
-    underestimates motion of lips and brows, and is unsure at which end an eye closes first.
+    underestimates motion of lips and brows, sees shut lips as slightly parted, and is unsure at which end an eye closes
+    first.
 
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
     vertically (equation 4.2); landmarks of two regions take the mean. Lower lids are scaled vertically by the ratio of
@@ -93,6 +99,7 @@ class Retargeter:
         self.scale[REGIONS[LOWER].landmarks, 1] *= mouth_gain
         if compensate:
             self.scale[LIPS, :2] *= _LIP_GAIN
+        self._seals = compensate
         self._brows_more = _BROW_GAIN - 1.0 if compensate else 0.0
         self._rest_heights, self._rest_gaps = self.head_landmarks[:, 1], lid_gaps(self.head_landmarks)
         self._least_gaps = np.minimum(self._rest_gaps, -_OVERLAP * np.abs(self._rest_gaps))
@@ -113,6 +120,8 @@ class Retargeter:
         moved = np.asarray(self.scale * away)
         for upper, lower, more in self._with_upper:
             moved[..., lower, 1] += more * away[..., upper, 1]
+        if self._seals:
+            _seal(moved, away)
         # Each brow moves farther as a whole. How it tilts is too uncertain to be amplified.
         brows = moved[..., BROWS, 1].reshape(*moved.shape[:-2], 2, -1).mean(axis=-1)
         moved[..., BROWS, 1] += self._brows_more * brows.repeat(len(BROWS) // 2, axis=-1)
@@ -166,6 +175,19 @@ def retargeter_for(
         mouth_gain=gain,
         compensate=not neutral.measured,
     )
+
+
+def _seal(moved: FloatArray, away: FloatArray) -> None:
+    """Shut lips that are hardly parted (equation 4.9), in displacements (..., 66, 3), in place.
+
+    `away` (..., 66, 3) are the performer's.
+    """
+    parted = (away[..., LOWER_LIPS, 1] - away[..., UPPER_LIPS, 1]).mean(axis=-1)
+    left = np.clip(_PARTED / (_PARTED - _SHUT) * (1.0 - _SHUT / np.maximum(parted, _SHUT)), 0.0, 1.0)
+    opening = moved[..., LOWER_LIPS, 1] - moved[..., UPPER_LIPS, 1]
+    less = np.maximum(opening, 0.0) * (1.0 - left)[..., None] / 2.0
+    moved[..., UPPER_LIPS, 1] += less
+    moved[..., LOWER_LIPS, 1] -= less
 
 
 def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: FloatArray) -> None:

@@ -44,15 +44,17 @@ compare, on either half; beyond 0.5 the signs of the hand-labelled clips get wor
 expression."""
 _ALONG_EYE = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0 - 0.5
 """Places of an eye's landmarks between its corners, from the middle, in iBUG's order."""
-_SEALED = 0.15
+_SEALED = 0.1
 """Share of a take in which the lips are at most as far apart as at rest. Chosen on one half of the strangers' clips."""
-_MAX_SEALED = 0.04
+_MAX_SEALED = 0.03
 """Largest gap, in eye distances, of lips that count as shut, which lips that are seen from below, bearded or blurred
-have. Chosen likewise: with 0.03 fewer shut lips are shown as such, with 0.05 fewer of those that are slightly apart."""
+have. Chosen likewise, together with what shuts lips that are hardly parted (`core.drive.retarget`)."""
 _BROAD = 0.02
 """Distance in eye distances by which expressions broaden a mouth that may smile; in portraits it is 0.06 on average."""
 _MISTAKEN = 0.03
 """Share of a take in which lips may seem shut that never are."""
+_APART = 0.04
+"""Gap, in eye distances, that they exceed in the rest of it."""
 
 
 def trust(take: Take, frames: IntArray) -> FloatArray:
@@ -101,7 +103,7 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> Floa
     # The tracker sees shut lips of one person closer together than those of another. Lips that never meet, as in a
     # radiant smile, do not show how far apart they are when shut, and are taken to meet.
     gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)
-    gap *= 1.0 - min(max(float(np.quantile(openings, _MISTAKEN)) / _MAX_SEALED - 1.0, 0.0), 1.0)
+    gap *= 1.0 - min(max(float(np.quantile(openings, _MISTAKEN)) / _APART - 1.0, 0.0), 1.0)
     lacking = gap - float(mouth_aperture(rest))
     rest[UPPER_LIPS, 1] -= lacking / 2.0
     rest[LOWER_LIPS, 1] += lacking / 2.0
