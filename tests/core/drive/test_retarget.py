@@ -165,6 +165,32 @@ def test_shut_lips_that_move_together_stay_shut(away, stretched, compensate):
     np.testing.assert_allclose(moved[LOWER_LIPS, 1], moved[UPPER_LIPS, 1], atol=1e-6)
 
 
+def opened(rig: HeadRig, parted: float, *, compensate: bool = True) -> float:
+    """How much farther apart the head's inner lips are than at rest when the performer's are, by `parted`."""
+    neutral = performer(rig)
+    shape = neutral.copy()
+    shape[LOWER_LIPS, 1] += parted
+    moved = Retargeter(neutral, rig.vertices[rig.landmarks], compensate=compensate).displacements(shape)
+    return float((moved[LOWER_LIPS, 1] - moved[UPPER_LIPS, 1]).mean() / rig.eye_distance)
+
+
+@given(st.floats(0.0, 0.0099))
+def test_tracked_lips_that_are_hardly_parted_are_shut(rig, parted):
+    assert opened(rig, parted) == pytest.approx(0.0, abs=1e-9)
+    assert opened(rig, parted, compensate=False) == pytest.approx(parted, rel=0.5, abs=1e-9)
+
+
+@given(st.floats(0.0351, 0.4))
+def test_tracked_lips_that_are_clearly_parted_are_as_far_apart_as_they_are_seen(rig, parted):
+    assert opened(rig, parted) == pytest.approx(parted / 0.1 * opened(rig, 0.1), rel=1e-6)
+
+
+@given(st.floats(-0.02, 0.1), st.floats(0.0, 0.05))
+def test_lips_open_on_the_farther_they_are_parted_and_never_with_a_jump(rig, parted, further):
+    first, second = opened(rig, parted), opened(rig, parted + further)
+    assert -1e-9 <= second - first <= 4.0 * further + 1e-9
+
+
 def test_tracked_brows_move_farther_as_a_whole_but_tilt_as_they_were_tracked(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     raised = face.copy()
