@@ -260,10 +260,11 @@ class LiveWorker:
         try:
             tracker = self._load_tracker()
             self.model = tracker.model_id
-            while not self._stop.is_set() and not self.source.ended:
-                frame = self._read()
-                if frame is not None:
-                    self._frame(tracker, frame)
+            with tracker.in_two_threads():
+                while not self._stop.is_set() and not self.source.ended:
+                    frame = self._read()
+                    if frame is not None:
+                        self._frame(tracker, frame)
         except Exception as error:  # read by the user's thread
             self.error = error
 

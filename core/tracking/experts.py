@@ -275,7 +275,8 @@ class PartExperts(FacePart):
         shape.
         """
         centres = self.centres(shape) - (0.0, higher)
-        return self.read(*self.network(self.crops_at(grey, pose, centres)), centres)
+        (maps,) = self.network(self.crops_at(grey, pose, centres))
+        return self.read(maps, centres)
 
     def centres(self, shape: FloatArray) -> FloatArray:
         """Return the centres of the crops, (1 or 2, 2), for landmarks (66, 2); both in the face frame."""

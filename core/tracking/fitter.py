@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from math import inf
 from time import perf_counter
@@ -11,11 +12,10 @@ from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, MIRROR, N_LANDMARKS, NOSE
 from ..numeric.arrays import FloatArray
-from ..numeric.second_thread import SecondThread
 from .experts import PartExperts, ResponseMaps
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel
-from .network import N_FEATURES
+from .network import N_FEATURES, Outputs
 from .pdm import FittedShape, PointDistributionModel
 from .reference import pose_in_image
 
@@ -97,12 +97,12 @@ class Fit:
 class FaceFitter:
     """Fits the shape model to frames; seconds spent in "experts", "fit" and "check" are added to `timings`.
 
-    Half of the networks run in the `second_thread`.
+    Half of the networks run in the `second_thread`, if there is one.
     """
 
     def __init__(self, model: TrackerModel, timings: dict[str, float]) -> None:
         self._model, self._timings = model, timings
-        self.second_thread = SecondThread()
+        self.second_thread: Executor | None = None
         # The experts were trained on landmarks of a slightly different definition. The fit uses a mean shape of that
         # definition; results are reported by `pdm` with the same parameters.
         trained = model.pdm.mean_shape - model.definition
@@ -179,15 +179,15 @@ class FaceFitter:
         shape = self._fitted_pdm.project(local.pose, local.shape_params)
         glance, (first, *others) = self._model.glance, self._model.parts
         centres = [part.centres(shape) for part in others]
-        whole, crops = (
-            glance.crop(grey, pose),
-            [p.crops_at(grey, pose, c) for p, c in zip(others, centres, strict=True)],
-        )
-        outputs = self.second_thread.begin(
-            lambda: (glance.network(whole), [p.network(crop) for p, crop in zip(others, crops, strict=True)])
-        )
+        whole = glance.crop(grey, pose)
+        crops = [part.crops_at(grey, pose, centre) for part, centre in zip(others, centres, strict=True)]
+
+        def of_others() -> tuple[Outputs, list[Outputs]]:
+            return glance.network(whole), [part.network(crop) for part, crop in zip(others, crops, strict=True)]
+
+        begun = None if self.second_thread is None else self.second_thread.submit(of_others)
         maps = [self._raised(first, first.respond(grey, pose, shape), grey, pose, shape)]
-        of_face, of_parts = outputs.result()
+        of_face, of_parts = of_others() if begun is None else begun.result()
         for part, (output,), centre in zip(others, of_parts, centres, strict=True):
             maps.append(self._raised(part, part.read(output, centre), grey, pose, shape))
         return *glance.read(*of_face), maps

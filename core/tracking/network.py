@@ -6,6 +6,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import exp
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -36,6 +37,9 @@ _APART = 0.5
 """Distance, in outer-eye distances, within which two detections are of the same face."""
 N_FEATURES = 6
 
+Outputs: TypeAlias = tuple[NDArray[np.float32], ...]
+"""Outputs of a network, in the order of their names."""
+
 
 class Network:
     """A network with one input `(B, 1, H, W)` and named outputs; raises ModelError as `read_network` does.
@@ -48,7 +52,7 @@ class Network:
         self._outputs = list(outputs)
         self._net = read_network(onnx)
 
-    def __call__(self, images: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+    def __call__(self, images: NDArray[np.float32]) -> Outputs:
         """Return the outputs for standardised images (B, H, W), in the order of their names."""
         try:
             self._net.setInput(images[:, None])

@@ -169,8 +169,14 @@ class PatchExperts:
 
     def of(self, landmarks: IntArray) -> PatchExperts:
         """Return the experts of some of the landmarks; these experts must be of all 66."""
-        weights = (self.hidden, self.hidden_bias, self.output, self.output_bias)
-        return PatchExperts(self.scale, *(values[landmarks] for values in weights), landmarks)
+        return PatchExperts(
+            self.scale,
+            self.hidden[landmarks],
+            self.hidden_bias[landmarks],
+            self.output[landmarks],
+            self.output_bias[landmarks],
+            landmarks,
+        )
 
     def mirrored(self, order: IntArray) -> PatchExperts:
         """Return the experts, of all 66 landmarks, of the mirrored view; `order` (66,) holds their counterparts."""

@@ -61,8 +61,9 @@ def main() -> int:
     measured = {peer.name: measure(peer, photos, exact, clips, videos) for peer in peers}
     numbers: dict[str, object] = {"model": tracker.model_id, "people": arguments.people, "trackers": measured}
     ours = any(isinstance(p, Ours) for p in peers)
-    live = [Live(FaceTracker.load(arguments.model, gradual=True))] if ours else []
-    numbers["paces"] = paces([*peers, *live], clips[-1].frames)
+    live = FaceTracker.load(arguments.model, gradual=True)
+    with live.in_two_threads():
+        numbers["paces"] = paces([*peers, Live(live)] if ours else peers, clips[-1].frames)
     if ours:
         numbers["stages"] = stage_times(tracker)
         numbers["smoothing"] = on_smoothing(tracker, photos[::3], clips)

@@ -71,7 +71,7 @@ class Ours:
 
 
 class Live(Ours):
-    """Facemime's tracker as it runs live, where some work is spread over frames."""
+    """Facemime's tracker as it runs live: some work is spread over frames, and half of the networks run beside."""
 
     name = "Facemime, live"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from pathlib import Path
 
 import cv2
@@ -13,10 +14,12 @@ from hypothesis.extra import numpy as hnp
 
 from facemime.core.errors import FacemimeError
 from facemime.core.face.landmarks import INNER, N_LANDMARKS
+from facemime.core.files.capture import read_image
 from facemime.core.tracking.result import TrackResult
 from facemime.core.tracking.tracker import FaceTracker
 
 DATA = Path(__file__).parents[4] / "shared" / "data"
+PORTRAIT = Path(__file__).parents[2] / "data" / "portraits" / "collins.jpg"
 needs_photos = pytest.mark.skipif(not DATA.exists(), reason="the photographs of ../shared/data are not here")
 
 
@@ -213,3 +216,16 @@ def test_of_two_faces_the_larger_is_taken(
 ) -> None:
     both, _, large = two_faces
     assert error_percent(tracker.locate(both).landmarks, large) < 4.0
+
+
+def test_a_second_thread_changes_no_result_and_ends_with_its_context():
+    portrait = read_image(PORTRAIT)
+    one, two = FaceTracker.load(), FaceTracker.load()
+    with two.in_two_threads():
+        for shift in range(4):
+            image = np.roll(portrait, shift, axis=1)
+            alone, beside = one.track(image), two.track(image)
+            np.testing.assert_array_equal(beside.landmarks, alone.landmarks)
+            assert beside.confidence == alone.confidence > 0.9
+    assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime-networks")]
+    assert two.track(portrait).found
