@@ -41,10 +41,10 @@ _LIP_GAIN = (1.4, 1.4)
 """Gains of the lips' motion across and down. The tracker underestimates this motion, as its experts are uncertain about
 lips and its shape model draws them towards the mean. Chosen on one half of the strangers' clips (`lab.bench.strangers`)
 for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled clips do not suffer."""
-_SHUT = 0.01
+_LIPS_SHUT = 0.01
 """Distance in eye distances from rest up to which parted lips are shut. Shut lips are tracked as up to this far apart
 in nine of ten frames. This and the next were chosen on one half of the strangers' clips (`lab.bench.strangers`)."""
-_PARTED = 0.035
+_LIPS_PARTED = 0.035
 """Distance from which they are as far apart as they are seen."""
 _BROW_GAIN = 1.1
 """Gain of the brows' motion up and down. On rendered clips of twelve people with exact landmarks, they are tracked as
@@ -183,7 +183,8 @@ def _seal(moved: FloatArray, away: FloatArray) -> None:
     `away` (..., 66, 3) are the performer's.
     """
     parted = (away[..., LOWER_LIPS, 1] - away[..., UPPER_LIPS, 1]).mean(axis=-1)
-    left = np.clip(_PARTED / (_PARTED - _SHUT) * (1.0 - _SHUT / np.maximum(parted, _SHUT)), 0.0, 1.0)
+    steepness = _LIPS_PARTED / (_LIPS_PARTED - _LIPS_SHUT)
+    left = np.clip(steepness * (1.0 - _LIPS_SHUT / np.maximum(parted, _LIPS_SHUT)), 0.0, 1.0)
     opening = moved[..., LOWER_LIPS, 1] - moved[..., UPPER_LIPS, 1]
     less = np.maximum(opening, 0.0) * (1.0 - left)[..., None] / 2.0
     moved[..., UPPER_LIPS, 1] += less

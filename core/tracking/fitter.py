@@ -119,8 +119,8 @@ class FaceFitter:
             in_parts[part.landmarks] = True
             in_parts[MIRROR[part.landmarks]] |= part.paired
         self._face_weight = np.where(in_parts, 0.1, 0.4)
-        self._edge_weight = np.ones(N_LANDMARKS)
-        self._edge_weight[NOSE] = _NOSE_WEIGHT
+        weights = np.where(np.isin(_EDGED, NOSE), _NOSE_WEIGHT, 1.0)
+        self._edge_weights = {view: weights * visible[_EDGED] for view, visible in self._visibility.items()}
 
     def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
         """Fit a face from `start`, in the image frame, by stages such as `REFINED` or `DETECTED`.
@@ -242,7 +242,7 @@ class FaceFitter:
         shape = self._fitted_pdm.project(local.pose, local.shape_params)
         maps, highest = self._patches[view].respond(grey, start.pose, shape)
         looked = perf_counter()
-        evidence = [Evidence(maps, (self._visibility[view] * self._edge_weight)[maps.landmarks] * highest)]
+        evidence = [Evidence(maps, self._edge_weights[view] * highest)]
         local = regularised_mean_shift(self._fitted_pdm, local, evidence, _EDGES)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         self._timings["experts"] += looked - began

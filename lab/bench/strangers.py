@@ -86,6 +86,7 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "half a second of it": {(neutral, "_MOMENT"): 0.5},
     "lower lip not relative to the upper one": {(retarget, "_FACING_LIPS"): ()},
     "lips without gains": {(retarget, "_LIP_GAIN"): (1.0, 1.0)},
+    "lips that are hardly parted not shut": {(retarget, "_LIPS_SHUT"): 1e-9},
     "brows without a gain": {(retarget, "_BROW_GAIN"): 1.0},
     "widest opening not stretched": {(neutral, "_MAX_GAIN"): 1.0},
 }

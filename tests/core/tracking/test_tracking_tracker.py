@@ -227,5 +227,6 @@ def test_a_second_thread_changes_no_result_and_ends_with_its_context():
             alone, beside = one.track(image), two.track(image)
             np.testing.assert_array_equal(beside.landmarks, alone.landmarks)
             assert beside.confidence == alone.confidence > 0.9
+        assert [thread for thread in threading.enumerate() if thread.name.startswith("facemime-networks")]
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime-networks")]
     assert two.track(portrait).found
