@@ -25,17 +25,18 @@ SHAPE[[55, 56, 57, 58, 59], 1] = MIDDLE + 0.16
 
 def mouth(top: float, bottom: float, pose: np.ndarray, between: tuple[int, int, int] = TEETH) -> np.ndarray:
     """A face with lips, and teeth from `top` to `bottom`, in eye distances from the middle of the tracked mouth."""
-    image = np.full((400, 400, 3), SKIN, np.uint8)
+    # Painted four times as large, as a filled polygon covers the pixels that its border touches.
+    image = np.full((1600, 1600, 3), SKIN, np.uint8)
 
     def fill(first: float, last: float, colour: tuple[int, int, int]) -> None:
         box = np.array([(x, MIDDLE + y, SHAPE[LOWER_LIPS, 2].mean()) for x, y in ((-0.3, first), (0.3, first))])
         box = np.concatenate([box, box[::-1] + (0.0, last - first, 0.0)])
-        corners = np.round(project_shape(box, pose) * 16.0).astype(np.int32)
+        corners = np.round(((project_shape(box, pose) + 0.5) * 4.0 - 0.5) * 16.0).astype(np.int32)
         cv2.fillConvexPoly(image, corners, colour, cv2.LINE_AA, 4)
 
     fill(-0.14, 0.16, LIPS)
     fill(top, bottom, between)
-    return image
+    return np.asarray(cv2.resize(image, (400, 400), interpolation=cv2.INTER_AREA))
 
 
 def bared(image: np.ndarray, pose: np.ndarray) -> np.ndarray:
@@ -54,8 +55,8 @@ def test_inner_rims_move_to_the_ends_of_the_teeth(
 ) -> None:
     pose = np.array([scale, 0.0, yaw, roll, 200.0, 200.0])
     found = bared(mouth(top, bottom, pose), pose)
-    assert found[UPPER_LIPS, 1] == pytest.approx(MIDDLE + top, abs=0.02)
-    assert found[LOWER_LIPS, 1] == pytest.approx(MIDDLE + bottom, abs=0.02)
+    assert found[UPPER_LIPS, 1] == pytest.approx(MIDDLE + top, abs=0.012)
+    assert found[LOWER_LIPS, 1] == pytest.approx(MIDDLE + bottom, abs=0.012)
     others = np.setdiff1d(np.arange(66), [*UPPER_LIPS, *LOWER_LIPS])
     assert (found[others] == SHAPE[others]).all()
 
