@@ -46,7 +46,7 @@ class Observer:
         self._unit, self._own = outer_eye_distance(landmarks), _own_motion()
         self.options = options
         self.neutral = neutral.mirrored() if options.mirror else neutral
-        self._retargeter = retargeter_for(self.neutral, landmarks, strength=options.strength)
+        self._retargeter = retargeter_for(self.neutral, landmarks, strength=options.strength, fitted=True)
         self._actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
         self._gains = _gains(options)
         self._eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)

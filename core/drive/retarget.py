@@ -17,6 +17,7 @@ from ..face.landmarks import (
     LOWER_LIDS,
     LOWER_LIP,
     LOWER_LIPS,
+    MOUTH_CORNERS,
     N_LANDMARKS,
     UPPER_LIDS,
     UPPER_LIP,
@@ -38,23 +39,37 @@ from .drive_settings import Mode
 _FACING_LIPS = ((UPPER_LIP, LOWER_LIP), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks of the outer and the inner lips."""
 _LIP_GAIN = (1.4, 1.4)
-"""Gains of the lips' motion across and down. The tracker underestimates this motion, as its experts are uncertain about
-lips and its shape model draws them towards the mean. Chosen on one half of the strangers' clips (`lab.bench.strangers`)
-for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled clips do not suffer."""
+"""Gains of the motion of the mouth's corners across and of the lips down. The tracker underestimates this motion, as its
+experts are uncertain about lips and its shape model draws them towards the mean. Chosen on one half of the strangers'
+clips (`lab.bench.strangers`) for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled
+clips do not suffer. Between the corners, lips move across as far as MediaPipe's, on both halves."""
 _LIPS_SHUT = 0.01
 """Distance in eye distances from rest up to which parted lips are shut. Shut lips are tracked as up to this far apart
 in nine of ten frames. This and the next were chosen on one half of the strangers' clips (`lab.bench.strangers`)."""
 _LIPS_PARTED = 0.035
 """Distance from which they are as far apart as they are seen."""
+_LIPS_WIDE = 0.12
+"""Distance in eye distances from rest beyond which the gain is less. Up to it, lips are shown as far apart as by
+MediaPipe; without this and the next, 1.14 times as far where they are 0.27 apart, on both halves."""
+_WIDE_SHARE = 0.72
+"""Share of the opening beyond it that is shown."""
+_CORNERS_FOLLOW = 0.4
+"""How far the corners of a mouth follow its lower lip, as in `lab.bench.expressions`."""
 _BROW_GAIN = 1.1
 """Gain of the brows' motion up and down. On rendered clips of twelve people with exact landmarks, they are tracked as
 moving 0.91 times as far, on both halves."""
+_BROW_TILT = 0.15
+"""By how much the outer end of a brow rises above the inner one when the brow rises by 1, to make up for what it is
+tracked as tilting: 0.12 too much on one half of the strangers' clips, 0.18 on the other."""
 _OVERLAP = 0.02
 """Share of the opening by which shut lids overlap at most. On a character of MakeHuman's 0.5 % of the eyes are visible
 then, instead of 1.3 %."""
 _MIN_EYE_OPENING = 0.15
 """Smallest opening of an eye that is used, as a share of its width: squinting in the neutral face would otherwise
 amplify lids without bound."""
+
+_TILT = np.array([[2.0, 1.0, 0.0, -1.0, -2.0], [-2.0, -1.0, 0.0, 1.0, 2.0]]) / 3.0
+"""Heights of the landmarks of both brows from their middle, for a height of 1 between the means of their ends."""
 
 
 class Retargeter:
@@ -66,7 +81,8 @@ class Retargeter:
     a further factor of the vertical motion of the lower region. `shut`, from `Neutral`, is the lid opening of the
     performer at which the avatar's lids meet. `compensate` is whether to compensate for the tracker's errors: it
     underestimates motion of lips and brows, sees shut lips as slightly parted, and is unsure at which end an eye closes
-    first.
+    first. If the displacements are `fitted` by shape keys, all of the lips moves across as their corners do and however
+    far it is open, as those learnt from it do.
 
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
     vertically (equation 4.2); landmarks of two regions take the mean. Lower lids are scaled vertically by the ratio of
@@ -86,6 +102,7 @@ class Retargeter:
         shut: float = 0.0,
         mouth_gain: float = 1.0,
         compensate: bool = False,
+        fitted: bool = False,
     ) -> None:
         if mode not in ("3d", "planar"):
             raise HeadError('mode must be "3d" or "planar"; got {mode!r}.', mode=mode)
@@ -98,9 +115,11 @@ class Retargeter:
         self.scale *= ((members * gains[:, None]).sum(axis=0) / members.sum(axis=0))[:, None]
         self.scale[REGIONS[LOWER].landmarks, 1] *= mouth_gain
         if compensate:
-            self.scale[LIPS, :2] *= _LIP_GAIN
-        self._seals = compensate
-        self._brows_more = _BROW_GAIN - 1.0 if compensate else 0.0
+            across, down = _LIP_GAIN
+            self.scale[LIPS if fitted else MOUTH_CORNERS, 0] *= across
+            self.scale[LIPS, 1] *= down
+        self._seals, self._bounds = compensate, compensate and not fitted
+        self._brows_more = (_BROW_GAIN - 1.0 + _BROW_TILT * _TILT) * compensate
         self._rest_heights, self._rest_gaps = self.head_landmarks[:, 1], lid_gaps(self.head_landmarks)
         self._least_gaps = np.minimum(self._rest_gaps, -_OVERLAP * np.abs(self._rest_gaps))
         self._lids = _Lids(self.neutral, self.head_landmarks, shut, compensate=compensate)
@@ -122,9 +141,11 @@ class Retargeter:
             moved[..., lower, 1] += more * away[..., upper, 1]
         if self._seals:
             _seal(moved, away)
-        # Each brow moves farther as a whole. How it tilts is too uncertain to be amplified.
+        if self._bounds:
+            _open_less(moved, away)
+        # Each brow moves farther as a whole, and tilts less.
         brows = moved[..., BROWS, 1].reshape(*moved.shape[:-2], 2, -1).mean(axis=-1)
-        moved[..., BROWS, 1] += self._brows_more * brows.repeat(len(BROWS) // 2, axis=-1)
+        moved[..., BROWS, 1] += (brows[..., None] * self._brows_more).reshape(*brows.shape[:-1], -1)
         # Equation 4.3: each upper lid moves with its lower one, and closes by its share of the opening, across the eye
         # as it is tilted now. Shut lids overlap a little, or the eye would show between their rims.
         posed = self.head_landmarks + moved
@@ -162,7 +183,12 @@ def _least(points: FloatArray) -> FloatArray:
 
 
 def retargeter_for(
-    neutral: Neutral, head_landmarks: ArrayLike, *, mode: Mode = "3d", strength: ArrayLike = (1.0, 1.0, 1.0)
+    neutral: Neutral,
+    head_landmarks: ArrayLike,
+    *,
+    mode: Mode = "3d",
+    strength: ArrayLike = (1.0, 1.0, 1.0),
+    fitted: bool = False,
 ) -> Retargeter:
     """Create a `Retargeter` from all that a neutral face contains; the other arguments are as for the class."""
     gain = neutral.mouth_gain
@@ -174,6 +200,7 @@ def retargeter_for(
         shut=neutral.shut,
         mouth_gain=gain,
         compensate=not neutral.measured,
+        fitted=fitted,
     )
 
 
@@ -182,13 +209,31 @@ def _seal(moved: FloatArray, away: FloatArray) -> None:
 
     `away` (..., 66, 3) are the performer's.
     """
-    parted = (away[..., LOWER_LIPS, 1] - away[..., UPPER_LIPS, 1]).mean(axis=-1)
+    parted = _parted(away)
     steepness = _LIPS_PARTED / (_LIPS_PARTED - _LIPS_SHUT)
     left = np.clip(steepness * (1.0 - _LIPS_SHUT / np.maximum(parted, _LIPS_SHUT)), 0.0, 1.0)
     opening = moved[..., LOWER_LIPS, 1] - moved[..., UPPER_LIPS, 1]
     less = np.maximum(opening, 0.0) * (1.0 - left)[..., None] / 2.0
     moved[..., UPPER_LIPS, 1] += less
     moved[..., LOWER_LIPS, 1] -= less
+
+
+def _open_less(moved: FloatArray, away: FloatArray) -> None:
+    """Open wide mouths less far (equation 4.10), in displacements (..., 66, 3), in place.
+
+    `away` (..., 66, 3) are the performer's.
+    """
+    beyond = np.maximum(_parted(away) - _LIPS_WIDE, 0.0)
+    less = (1.0 - _WIDE_SHARE) * beyond / (beyond + _LIPS_WIDE)
+    raised = less * np.maximum(_parted(moved), 0.0)
+    for upper, lower in _FACING_LIPS:
+        moved[..., lower, 1] -= less[..., None] * np.maximum(moved[..., lower, 1] - moved[..., upper, 1], 0.0)
+    moved[..., MOUTH_CORNERS, 1] -= _CORNERS_FOLLOW * raised[..., None]
+
+
+def _parted(moved: FloatArray) -> FloatArray:
+    """How much farther apart the inner lips are than at rest, (...,), for displacements (..., 66, 3)."""
+    return np.asarray((moved[..., LOWER_LIPS, 1] - moved[..., UPPER_LIPS, 1]).mean(axis=-1))
 
 
 def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: FloatArray) -> None:

@@ -87,7 +87,9 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "lower lip not relative to the upper one": {(retarget, "_FACING_LIPS"): ()},
     "lips without gains": {(retarget, "_LIP_GAIN"): (1.0, 1.0)},
     "lips that are hardly parted not shut": {(retarget, "_LIPS_SHUT"): 1e-9},
+    "wide mouths opened as far as small ones": {(retarget, "_WIDE_SHARE"): 1.0},
     "brows without a gain": {(retarget, "_BROW_GAIN"): 1.0},
+    "brows tilted as tracked": {(retarget, "_BROW_TILT"): 0.0},
     "widest opening not stretched": {(neutral, "_MAX_GAIN"): 1.0},
 }
 """Rules of the neutral face and of retargeting with the values that turn them off, or with others."""

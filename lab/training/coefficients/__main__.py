@@ -44,7 +44,8 @@ def main() -> int:
     """Learn and write.
 
     Lips of rendered people are tracked as moving 0.8 to 0.98 times as far as they do, those of strangers 0.5 to 0.7
-    times. The gain that makes up for it is not applied here, so that it is not learnt as part of the motion.
+    times. The gain that makes up for it is not applied here, so that it is not learnt as part of the motion. Nor is that of
+    tilted brows, which was found in clips of strangers as well.
     """
     parser = argparse.ArgumentParser(prog="python -m lab.training.coefficients", description=__doc__)
     add_data_option(parser)
@@ -53,7 +54,7 @@ def main() -> int:
     cv2.setNumThreads(1)
     tracker, head, rng = FaceTracker.load(), load_ict(arguments.data), np.random.default_rng(5)
     families = [[built_in_face(rng) for _ in range(_FACES)], [ict_face(head, rng) for _ in range(_FACES)]]
-    with patched({(retarget, "_LIP_GAIN"): (1.0, 1.0)}):
+    with patched({(retarget, "_LIP_GAIN"): (1.0, 1.0), (retarget, "_BROW_TILT"): 0.0}):
         built_in, ict = (simulate(faces, tracker.pdm, _EACH, rng) for faces in families)
         rendered = _rendered(arguments.data, arguments.people, tracker, head)
     model = learn(rendered, [built_in, ict], rng)

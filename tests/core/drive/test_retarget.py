@@ -17,6 +17,7 @@ from facemime.core.face.landmarks import (
     LIPS,
     LOWER_LIDS,
     LOWER_LIPS,
+    MOUTH_CORNERS,
     UPPER_LIDS,
     UPPER_LIPS,
     from_ibug,
@@ -165,12 +166,13 @@ def test_shut_lips_that_move_together_stay_shut(away, stretched, compensate):
     np.testing.assert_allclose(moved[LOWER_LIPS, 1], moved[UPPER_LIPS, 1], atol=1e-6)
 
 
-def opened(rig: HeadRig, parted: float, *, compensate: bool = True) -> float:
+def opened(rig: HeadRig, parted: float, *, compensate: bool = True, fitted: bool = False) -> float:
     """How much farther apart the head's inner lips are than at rest when the performer's are, by `parted`."""
     neutral = performer(rig)
     shape = neutral.copy()
     shape[LOWER_LIPS, 1] += parted
-    moved = Retargeter(neutral, rig.vertices[rig.landmarks], compensate=compensate).displacements(shape)
+    retargeter = Retargeter(neutral, rig.vertices[rig.landmarks], compensate=compensate, fitted=fitted)
+    moved = retargeter.displacements(shape)
     return float((moved[LOWER_LIPS, 1] - moved[UPPER_LIPS, 1]).mean() / rig.eye_distance)
 
 
@@ -180,7 +182,7 @@ def test_tracked_lips_that_are_hardly_parted_are_shut(rig, parted):
     assert opened(rig, parted, compensate=False) == pytest.approx(parted, rel=0.5, abs=1e-9)
 
 
-@given(st.floats(0.0351, 0.4))
+@given(st.floats(0.0351, 0.12))
 def test_tracked_lips_that_are_clearly_parted_are_as_far_apart_as_they_are_seen(rig, parted):
     assert opened(rig, parted) == pytest.approx(parted / 0.1 * opened(rig, 0.1), rel=1e-6)
 
@@ -191,14 +193,37 @@ def test_lips_open_on_the_farther_they_are_parted_and_never_with_a_jump(rig, par
     assert -1e-9 <= second - first <= 4.0 * further + 1e-9
 
 
-def test_tracked_brows_move_farther_as_a_whole_but_tilt_as_they_were_tracked(rig):
+@given(st.floats(0.12, 0.4))
+def test_wide_mouths_open_by_a_smaller_share_and_their_corners_follow_the_lower_lip(rig, parted):
+    share = opened(rig, parted) / parted / (opened(rig, 0.1) / 0.1)
+    assert share == pytest.approx((0.12 + 0.72 * (parted - 0.12)) / parted, abs=0.02)
+    assert opened(rig, parted, fitted=True) == pytest.approx(parted / 0.1 * opened(rig, 0.1), rel=1e-6)
+
+
+def test_a_round_mouth_is_narrowed_at_its_corners_alone_unless_keys_are_fitted_to_it(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    narrow = face.copy()
+    narrow[LIPS, 0] *= 0.8
+    plain, shown, fitted = (
+        Retargeter(face, points, compensate=compensate, fitted=fitted).displacements(narrow)
+        for compensate, fitted in ((False, False), (True, False), (True, True))
+    )
+    between = np.setdiff1d(LIPS, MOUTH_CORNERS)
+    np.testing.assert_allclose(shown[between, 0], plain[between, 0], atol=1e-9)
+    np.testing.assert_allclose(shown[MOUTH_CORNERS, 0], fitted[MOUTH_CORNERS, 0], atol=1e-9)
+    assert (np.abs(fitted[between, 0]) >= 1.3 * np.abs(plain[between, 0])).all()
+
+
+def test_tracked_brows_move_farther_as_a_whole_and_their_inner_ends_less_than_the_outer_ones(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     raised = face.copy()
     raised[BROWS, 1] -= np.linspace(0.02, 0.06, 10)
     plain, more = (Retargeter(face, points, compensate=on).displacements(raised)[BROWS, 1] for on in (False, True))
-    for brow in (slice(0, 5), slice(5, 10)):
+    for brow, outwards in ((slice(0, 5), -1.0), (slice(5, 10), 1.0)):
         assert 1.05 < more[brow].mean() / plain[brow].mean() < 1.2
-        np.testing.assert_allclose(np.diff(more[brow]), np.diff(plain[brow]), atol=1e-9)
+        tilted = outwards * np.diff(more[brow] - plain[brow]) / plain[brow].mean()
+        np.testing.assert_allclose(tilted, tilted[0], rtol=1e-9)
+        assert 0.1 < 3.0 * tilted[0] < 0.2
 
 
 def test_planar_mode_keeps_depth_and_strength_scales_a_region(rig):
