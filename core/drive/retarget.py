@@ -39,10 +39,10 @@ from .drive_settings import Mode
 _FACING_LIPS = ((UPPER_LIP, LOWER_LIP), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks of the outer and the inner lips."""
 _LIP_GAIN = (1.4, 1.4)
-"""Gains of the motion of the mouth's corners across and of the lips down. The tracker underestimates this motion, as its
-experts are uncertain about lips and its shape model draws them towards the mean. Chosen on one half of the strangers'
-clips (`lab.bench.strangers`) for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled
-clips do not suffer. Between the corners, lips move across as far as MediaPipe's, on both halves."""
+"""Gains of the motion of the mouth's corners across and of the lips down. The tracker underestimates this motion, as
+its experts are uncertain about lips and its shape model draws them towards the mean. Chosen on one half of the
+strangers' clips (`lab.bench.strangers`) for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of
+hand-labelled clips do not suffer. Between the corners, lips move across as far as MediaPipe's, on both halves."""
 _LIPS_SHUT = 0.01
 """Distance in eye distances from rest up to which parted lips are shut. Shut lips are tracked as up to this far apart
 in nine of ten frames. This and the next were chosen on one half of the strangers' clips (`lab.bench.strangers`)."""

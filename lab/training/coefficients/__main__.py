@@ -44,8 +44,8 @@ def main() -> int:
     """Learn and write.
 
     Lips of rendered people are tracked as moving 0.8 to 0.98 times as far as they do, those of strangers 0.5 to 0.7
-    times. The gain that makes up for it is not applied here, so that it is not learnt as part of the motion. Nor is that of
-    tilted brows, which was found in clips of strangers as well.
+    times. The gain that makes up for it is not applied here, so that it is not learnt as part of the motion, nor is
+    that of tilted brows, which was found in clips of strangers as well.
     """
     parser = argparse.ArgumentParser(prog="python -m lab.training.coefficients", description=__doc__)
     add_data_option(parser)
