@@ -27,8 +27,9 @@ _SENSOR = 36.0
 """Width of the sensor in millimetres."""
 _MARGIN = 1.08
 _STUDIO_LIGHT = "paint.sl"
-_FOLD_SHARE = 0.05
-"""Size of the folds that are shaded, relative to the head; even light alone would hide the motion of a face."""
+_FOLD_SHARE = 0.03
+"""Size of the folds that are shaded, relative to the head; even light alone would hide the motion of a face. Lips shade
+teeth near them with coarse noise if it is larger."""
 
 _HEAD_REACH = 2.3
 """Distance from the middle of a head, in outer-eye distances, within which its points are in view."""
@@ -126,9 +127,9 @@ def set_shading(scene: bpy.types.Scene, folds: float) -> None:
     shading.color_type = "TEXTURE"
     shading.show_cavity = True
     shading.cavity_type = "WORLD"
-    shading.cavity_valley_factor, shading.cavity_ridge_factor = 1.6, 0.0
+    shading.cavity_valley_factor, shading.cavity_ridge_factor = 1.8, 0.0
     scene.display.matcap_ssao_distance = folds
-    scene.display.matcap_ssao_samples = 8
+    scene.display.matcap_ssao_samples = 16
     shading.show_shadows = False
     shading.show_object_outline = False
     shading.show_specular_highlight = True

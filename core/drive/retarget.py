@@ -23,6 +23,7 @@ from ..face.landmarks import (
     UPPER_LIP,
     UPPER_LIPS,
     eye_apertures,
+    from_ibug,
     lid_gaps,
     lid_normals,
     mouth_aperture,
@@ -55,6 +56,16 @@ _WIDE_SHARE = 0.72
 """Share of the opening beyond it that is shown."""
 _CORNERS_FOLLOW = 0.4
 """How far the corners of a mouth follow its lower lip, as in `lab.bench.expressions`."""
+_ROUNDER = np.zeros((N_LANDMARKS, 2))
+"""How far landmarks of the lips move across and down per opening of the mouth, beyond what is tracked: wide mouths are
+tracked as pointed. Shares of the mean differences from MediaPipe's landmarks at openings above 0.15 on half of the
+strangers' clips, which the other half confirms: 0.6 of those across, as more lowers the correlation of the width, and
+0.5 and 0.75 of those down, as its landmarks lie nearer to the middle."""
+_ROUNDER[from_ibug((48, 54)), 0] = -0.04, 0.04
+_ROUNDER[from_ibug((49, 53)), 0] = -0.03, 0.03
+_ROUNDER[from_ibug((59, 55)), 0] = -0.06, 0.06
+_ROUNDER[from_ibug((58, 56)), 1] = 0.06
+_ROUNDER[from_ibug((67, 65)), 1] = 0.12
 _BROW_GAIN = 1.1
 """Gain of the brows' motion up and down. On rendered clips of twelve people with exact landmarks, they are tracked as
 moving 0.91 times as far, on both halves."""
@@ -142,7 +153,7 @@ class Retargeter:
         if self._seals:
             _seal(moved, away)
         if self._bounds:
-            _open_less(moved, away)
+            _round_opening(moved, away)
         # Each brow moves farther as a whole, and tilts less.
         brows = moved[..., BROWS, 1].reshape(*moved.shape[:-2], 2, -1).mean(axis=-1)
         moved[..., BROWS, 1] += (brows[..., None] * self._brows_more).reshape(*brows.shape[:-1], -1)
@@ -218,8 +229,8 @@ def _seal(moved: FloatArray, away: FloatArray) -> None:
     moved[..., LOWER_LIPS, 1] -= less
 
 
-def _open_less(moved: FloatArray, away: FloatArray) -> None:
-    """Open wide mouths less far (equation 4.10), in displacements (..., 66, 3), in place.
+def _round_opening(moved: FloatArray, away: FloatArray) -> None:
+    """Open wide mouths less far (equation 4.10) and rounder, in displacements (..., 66, 3), in place.
 
     `away` (..., 66, 3) are the performer's.
     """
@@ -229,6 +240,7 @@ def _open_less(moved: FloatArray, away: FloatArray) -> None:
     for upper, lower in _FACING_LIPS:
         moved[..., lower, 1] -= less[..., None] * np.maximum(moved[..., lower, 1] - moved[..., upper, 1], 0.0)
     moved[..., MOUTH_CORNERS, 1] -= _CORNERS_FOLLOW * raised[..., None]
+    moved[..., :2] += np.maximum(_parted(moved), 0.0)[..., None, None] * _ROUNDER
 
 
 def _parted(moved: FloatArray) -> FloatArray:

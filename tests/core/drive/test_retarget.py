@@ -197,7 +197,24 @@ def test_lips_open_on_the_farther_they_are_parted_and_never_with_a_jump(rig, par
 def test_wide_mouths_open_by_a_smaller_share_and_their_corners_follow_the_lower_lip(rig, parted):
     share = opened(rig, parted) / parted / (opened(rig, 0.1) / 0.1)
     assert share == pytest.approx((0.12 + 0.72 * (parted - 0.12)) / parted, abs=0.02)
-    assert opened(rig, parted, fitted=True) == pytest.approx(parted / 0.1 * opened(rig, 0.1), rel=1e-6)
+    assert opened(rig, parted, fitted=True) == pytest.approx(parted / 0.1 * opened(rig, 0.1, fitted=True), rel=1e-6)
+
+
+@given(st.floats(0.06, 0.4))
+def test_the_lower_lip_of_an_open_mouth_is_rounder_than_it_is_tracked_and_its_sides_are_alike(rig, parted):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    shape = face.copy()
+    shape[LOWER_LIPS, 1] += parted * np.array([0.8, 1.0, 0.8])
+    shown, fitted = (
+        Retargeter(face, points, compensate=True, fitted=fitted).displacements(shape) for fitted in (False, True)
+    )
+    left, middle, right = shown[LOWER_LIPS, 1]
+    tracked = fitted[LOWER_LIPS, 1]
+    assert left == pytest.approx(right, rel=1e-2)
+    assert 0.9 < left / middle < 1.0
+    assert left / middle > tracked[0] / tracked[1] + 0.05
+    corners = shown[MOUTH_CORNERS, 0]
+    assert corners[0] == pytest.approx(-corners[1], rel=1e-6) and corners[1] > 0.0
 
 
 def test_a_round_mouth_is_narrowed_at_its_corners_alone_unless_keys_are_fitted_to_it(rig):
