@@ -46,6 +46,12 @@ _ACTED = 0.6
 """Activation of the brows' actions from which their height at rest counts as unknown. Where the network sees less of
 any, their height is more and more the person's own. From 0.45 to 0.7 frames of strangers compare alike."""
 _BROW_ACTIONS = action_indices(name for name in ACTIONS if name.startswith("brow"))
+_FROWN = action_indices(name for name in ACTIONS if name.startswith("browDown"))
+_FROWNS_FROM = 0.85
+"""Activation of knitted brows, on both sides, from which they are more than the person's own face. Above it, MediaPipe
+sees two to four times as much of a frown as below, on both halves of the strangers' clips; up to it, hardly any."""
+_FROWNS_FULLY = 0.95
+"""Activation from which the face certainly frowns."""
 _MAX_VALUES = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}
 """Largest stored values: of the shape and the mouth in outer-eye distances, of the gaze and vergence in radians."""
 _MAX_VALUE = 1e7
@@ -297,14 +303,20 @@ def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
 
 def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray, *, prior: bool = True) -> Neutral:
     """Return the neutral face of frames, averaged by `share` (N,), without their expressions `strong` (N, U)."""
+    knitted = 0.0
     added = np.tensordot(share @ strong, load_face_space().units, 1)
     shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
     if prior and not take.info.get("measured"):
-        acted = float((share @ take.actions[frames][:, _BROW_ACTIONS]).max())  # NaN if unknown
+        actions = share @ take.actions[frames]
+        acted = float(actions[_BROW_ACTIONS].max())  # NaN if unknown
         brows = min(acted / _ACTED, 1.0) if np.isfinite(acted) else 1.0
-        shape = resting_shape(shape, brows, mouth_aperture(take.shape[take.found].astype(np.float64)))
+        frown = float(np.nan_to_num(actions[_FROWN]).min())
+        knitted = min(max((frown - _FROWNS_FROM) / (_FROWNS_FULLY - _FROWNS_FROM), 0.0), 1.0)
+        shape = resting_shape(shape, brows, mouth_aperture(take.shape[take.found].astype(np.float64)), knitted)
     rested = np.sort(frames[share >= 0.5 * share.max()])
-    return replace(_neutral(take, shape, rested, facing(take)), removed=float((share @ strong).max()), asked=False)
+    neutral = _neutral(take, shape, rested, facing(take))
+    neutral.actions[_FROWN] *= 1.0 - knitted
+    return replace(neutral, removed=float((share @ strong).max()), asked=False)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:

@@ -42,6 +42,10 @@ _TOWARDS_MEAN = 0.5
 pass for rest. On the strangers' clips of `lab.bench.strangers`, the more the better the frames of different people
 compare, on either half; beyond 0.5 the signs of the hand-labelled clips get worse, as a person's own brows pass for
 expression."""
+_FROWN_DOWN = 0.04
+"""Distance in eye distances by which a certain frown lowers the brows at least: four fifths of *browDown*."""
+_FROWN_IN = 0.02
+"""Distance in eye distances by which it draws each of them in."""
 _ALONG_EYE = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0 - 0.5
 """Places of an eye's landmarks between its corners, from the middle, in iBUG's order."""
 _SEALED = 0.1
@@ -75,11 +79,12 @@ def expressed(take: Take, frames: IntArray, activations: FloatArray) -> tuple[Fl
     return amount, np.maximum(activations - np.maximum(usual, _WEAK), 0.0)
 
 
-def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> FloatArray:
+def resting_shape(shape: FloatArray, brows: float, openings: FloatArray, knitted: float = 0.0) -> FloatArray:
     """Move a shape (66, 3) towards the mean of people's faces, with lips as far apart as the take's shut ones.
 
     The mean keeps an expression that lasts from passing for rest. `brows` is the doubt, 0 to 1, whether these rest;
-    `openings` (N,) are those of the mouth. Pose and size of the face stay.
+    `openings` (N,) are those of the mouth; `knitted`, 0 to 1, is how certain it is that the shape frowns. Pose and size
+    of the face stay.
     """
     space = load_face_space()
     away = without_similarity((shape - space.mean)[None], space.mean)[0]
@@ -100,6 +105,11 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray) -> Floa
     share = np.full((len(shape), 1), _TOWARDS_MEAN)
     share[LIPS] += (1.0 - _TOWARDS_MEAN) * smiling
     rest = shape - share * acted
+    # Landmarks hardly show how far the brows of somebody who always frowns are from their rest.
+    for brow, inwards in ((BROWS[:5], 1.0), (BROWS[5:], -1.0)):
+        together, lowered, _ = (shape[brow] - rest[brow]).mean(axis=0)
+        rest[brow, 1] -= knitted * max(_FROWN_DOWN - lowered, 0.0)
+        rest[brow, 0] -= knitted * inwards * max(_FROWN_IN - inwards * together, 0.0)
     # The tracker sees shut lips of one person closer together than those of another. Lips that never meet, as in a
     # radiant smile, do not show how far apart they are when shut, and are taken to meet.
     gap = min(max(float(np.quantile(openings, _SEALED)), float(mouth_aperture(shape))), _MAX_SEALED)

@@ -76,6 +76,7 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "two thirds of the way": {(resting, "_TOWARDS_MEAN"): 2.0 / 3.0},
     "broad mouths not told to smile": {(face_space, "_ACTS"): 1e3},
     "brows as far as the rest": {(neutral, "_ACTED"): 1e-6},
+    "frowns that last not told by their actions": {(resting, "_FROWN_DOWN"): -1.0, (resting, "_FROWN_IN"): -1.0},
     "brows' doubt up to an activation of 0.3": {(neutral, "_ACTED"): 0.3},
     "brows' doubt up to an activation of 0.8": {(neutral, "_ACTED"): 0.8},
     "gap of shut lips not from the take": {(resting, "_MAX_SEALED"): 1e-6},

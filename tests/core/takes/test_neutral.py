@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from facemime.core.errors import SourceError
 from facemime.core.face.landmarks import (
@@ -21,8 +23,10 @@ from facemime.core.face.landmarks import (
     from_ibug,
     mouth_aperture,
 )
+from facemime.core.face.names import ACTIONS
 from facemime.core.takes.face_space import FaceSpace, load_face_space, without_similarity
 from facemime.core.takes.neutral import Neutral, calibrate
+from facemime.core.takes.take import Take
 from tests.helpers.takes import make_take
 
 LOWER_INNER = from_ibug(range(65, 68))
@@ -175,6 +179,43 @@ def test_high_brows_are_the_persons_own_where_they_stay_high(space: FaceSpace) -
     face = somebody(space, 4) + 0.8 * np.sum(raised, axis=0)
     found = calibrate(make_take(acting(face, space, 4, 400)))
     assert abs((found.shape - at_rest(face, space))[BROWS, 1].mean()) < 0.02
+
+
+def knitting(face: np.ndarray, right: float, left: float) -> Take:
+    """A take of a face whose brows are knitted by these activations throughout."""
+    take = make_take(np.tile(face, (60, 1, 1)))
+    take.actions[:] = 0.0
+    take.actions[:, ACTIONS.index("browDownRight")] = right
+    take.actions[:, ACTIONS.index("browDownLeft")] = left
+    return take
+
+
+def lowered(take: Take, neutral: Neutral) -> np.ndarray:
+    """How far both brows are below those of the neutral face, (2,), in eye distances."""
+    return np.asarray((take.shape[0] - neutral.shape)[BROWS, 1].reshape(2, 5).mean(axis=1))
+
+
+def test_brows_that_are_certainly_knitted_throughout_are_shown_as_a_frown(space: FaceSpace) -> None:
+    face = somebody(space, 8)
+    frowns, doubtful = knitting(face, 0.97, 0.96), knitting(face, 0.97, 0.8)
+    found, other = calibrate(frowns), calibrate(doubtful)
+    assert (lowered(frowns, found) >= 0.0399).all()
+    apart = [face[from_ibug((22,))[0], 0] - face[from_ibug((21,))[0], 0] for face in (found.shape, frowns.shape[0])]
+    assert apart[0] - apart[1] >= 0.0399
+    np.testing.assert_allclose(found.actions[[ACTIONS.index("browDownRight"), ACTIONS.index("browDownLeft")]], 0.0)
+    # Everything else rests as if the brows' certainty were not there.
+    rest = np.setdiff1d(np.arange(66), BROWS)
+    np.testing.assert_allclose(found.shape[rest], other.shape[rest], atol=1e-9)
+    assert other.actions[ACTIONS.index("browDownRight")] == pytest.approx(0.97)
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 0.1))
+def test_the_frown_that_is_shown_grows_with_the_certainty_and_never_jumps(space: FaceSpace, one, more) -> None:
+    face = somebody(space, 9)
+    less, further = (knitting(face, certainty, certainty) for certainty in (one, min(one + more, 1.0)))
+    grown = lowered(further, calibrate(further)) - lowered(less, calibrate(less))
+    own = np.abs(lowered(knitting(face, 0.6, 0.6), calibrate(knitting(face, 0.6, 0.6))))
+    assert (np.abs(grown) <= (own + 0.05) / 0.1 * more + 1e-6).all()
 
 
 def test_half_shut_eyes_are_not_the_neutral_face(space: FaceSpace) -> None:
