@@ -116,6 +116,16 @@ def write_vertices(mesh: bpy.types.Mesh, vertices: NDArray[np.float32]) -> None:
     first.co = first.co
 
 
+def move_vertices(mesh: bpy.types.Mesh, offsets: NDArray[np.floating[Any]]) -> None:
+    """Move the vertices of a mesh by (V, 3) in its axes, at rest and in all of its shape keys."""
+    flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
+    mesh.vertices.foreach_get("co", flat)
+    mesh.vertices.foreach_set("co", flat + np.asarray(offsets, dtype=np.float32).reshape(-1))
+    for key in [] if mesh.shape_keys is None else mesh.shape_keys.key_blocks:
+        key.points.foreach_set("co", (key_points(key) + offsets).astype(np.float32).reshape(-1))
+    mesh.update()
+
+
 def read_faces(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
     """Return (F, K) vertex indices of each face, padded with -1."""
     corners = read_corners(mesh)

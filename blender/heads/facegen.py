@@ -16,14 +16,17 @@ from ...core.heads.bind import MIN_MARKS
 from ...core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from ...core.heads.part_names import names_inside, parts_in, spaced
 from ...core.heads.rig import Part
+from ...core.heads.tongues import tongue_lowered, tongue_of
+from ..characters import members_of, read_kinds
 from ..frames import to_blender
-from ..meshes import mesh_of
+from ..meshes import is_head, mesh_of, move_vertices
 from ..names import UV_MAP
+from ..rigs import read_rig
 from ..surfaces import colour_node
 from ..view_layers import select_alone
 from .binding import bind_character, check_object, write_marks
 from .eyeballs import put_eyeballs
-from .materials import plain_material, show_image
+from .materials import mouth_material, plain_material, show_image
 from .openings import open_eyes
 
 MILLIMETRE = 0.001
@@ -126,15 +129,41 @@ def prepare_facegen(head: bpy.types.Object) -> bool:
         return False
     open_eyes(head)
     put_eyeballs(head)
-    without_make_up(head)
+    refine_jane(head)
     return True
 
 
-def without_make_up(head: bpy.types.Object) -> None:
-    """Replace the texture of Jane, whose face is found by the make-up of her lids, which would be black when shut."""
-    for node in _image_nodes(head):
-        if node.image is not None and Path(bpy.path.abspath(node.image.filepath)) == _MADE_UP:
-            node.image = bpy.data.images.load(str(_MADE_UP.with_name("Skin.jpg")), check_existing=True)
+def refine_jane(head: bpy.types.Object) -> None:
+    """Change what shows in Jane's file: make-up of the lids, by which her face is found but which would be black when
+    they shut, and a mouth that the tongue fills and whose wall is as bright as the tongue. Other heads are left.
+    """
+    painted = [
+        node
+        for node in _image_nodes(head)
+        if node.image is not None and Path(bpy.path.abspath(node.image.filepath)) == _MADE_UP
+    ]
+    if not painted:
+        return
+    for node in painted:
+        node.image = bpy.data.images.load(str(_MADE_UP.with_name("Skin.jpg")), check_existing=True)
+    if is_head(head):
+        _open_up_mouth(head)
+
+
+def _open_up_mouth(head: bpy.types.Object) -> None:
+    """Lay the tongue of a head on the floor of its mouth, and make the wall dark."""
+    rig = read_rig(head)
+    tongue = tongue_of(rig)
+    down = np.zeros((len(rig.all_vertices), 3))
+    down[tongue] = tongue_lowered(rig, tongue)
+    for member in members_of(head)[1:]:
+        mesh = mesh_of(member.obj)
+        move_vertices(mesh, member.local_offsets(down))
+        wall = read_kinds(mesh) == Part.ON_SKIN
+        mesh.materials.append(mouth_material())
+        for polygon in mesh.polygons:
+            if wall[polygon.vertices[0]]:
+                polygon.material_index = len(mesh.materials) - 1
 
 
 def parts_beside(path: Path) -> list[Path]:

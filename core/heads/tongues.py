@@ -1,4 +1,6 @@
-"""The tongue of a head: which of the parts within its mouth it is, and how it is stuck out (method.md, section 9.6)."""
+"""The tongue of a head: which of the parts within its mouth it is, and how it is stuck out (method.md, section 9.6) or
+lies low.
+"""
 
 from __future__ import annotations
 
@@ -25,6 +27,13 @@ _BELOW = 0.01
 """Height of that tip below the slit of the mouth, in outer-eye distances."""
 _DROOP, _TAPER = 0.05, 0.35
 """Height of its middle above a straight line, in outer-eye distances, and share of its width that the tip loses."""
+
+_FLATTER = 0.5
+"""Share of its thickness by which a tongue that fills the mouth is flattened."""
+_LOWER = 0.02
+"""Distance in outer-eye distances by which its tip is lowered as well."""
+_ROOT_LOWER = 0.28
+"""Distance by which its root is, which rises in front of the throat as the jaw turns down."""
 
 
 def tongue_of(rig: HeadRig) -> NDArray[np.bool_]:
@@ -64,3 +73,14 @@ def tongue_out(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:
             -reach * along**1.5,
         ]
     )
+
+
+def tongue_lowered(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:
+    """Return the displacements (n, 3) of the `tongue`'s vertices to the floor of the mouth, as `tongue_out` does.
+
+    A tongue that fills the mouth at rest hides the darkness behind it, and the upper teeth, when the mouth opens.
+    """
+    _, heights, depths = np.asarray(rig.all_vertices, dtype=np.float64)[tongue].T
+    back = (depths - depths.min()) / np.ptp(depths)
+    down = _FLATTER * (heights.max() - heights) + (_LOWER + (_ROOT_LOWER - _LOWER) * back) * rig.eye_distance
+    return np.asarray(down[:, None] * (0.0, 1.0, 0.0))

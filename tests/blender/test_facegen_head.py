@@ -7,10 +7,11 @@ import bpy
 import numpy as np
 import pytest
 
-from facemime.blender.characters import part_table
+from facemime.blender.characters import part_table, read_kinds
 from facemime.blender.heads.binding import bind_head, check_object
-from facemime.blender.heads.facegen import import_facegen, parts_beside
-from facemime.blender.meshes import read_landmarks, read_vertices
+from facemime.blender.heads.facegen import add_facegen, import_facegen, parts_beside
+from facemime.blender.heads.materials import mouth_material
+from facemime.blender.meshes import key_points, read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
 from facemime.blender.paint import read_paint
 from facemime.blender.rigs import read_rig
@@ -21,6 +22,7 @@ from facemime.core.files.assets import ASSETS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.facegen import read_tri
 from facemime.core.heads.rig import Part
+from facemime.core.heads.tongues import tongue_of
 from facemime.core.puppet.performer import Performance
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.takes import make_take
@@ -65,6 +67,29 @@ def test_she_is_added_ready_to_be_driven_with_eyes_that_turn():
     gaps = lid_gaps((rig.vertices + motion.vertices[-1, : len(rig.vertices)])[rig.landmarks])
     assert np.abs(gaps).max() < 0.07 * lid_gaps(rig.vertices[rig.landmarks]).min()
     assert all(image.packed_file is not None for image in bpy.data.images if image.users and image.source == "FILE")
+
+
+def test_her_tongue_lies_low_in_a_dark_mouth_and_moves_in_her_keys_as_before():
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    (imported,) = [obj for obj in import_facegen(bpy.context, [FOLDER / "Jane.tri"]) if obj.name == "Mouth"]
+    before = {key.name: key_points(key) for key in imported.data.shape_keys.key_blocks}
+    bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    head = add_facegen(bpy.context)
+    rig = read_rig(head)
+    (mouth,) = [obj for obj in head.children if obj.name == "Mouth"]
+    after = {key.name: key_points(key) for key in mouth.data.shape_keys.key_blocks}
+    tongue = tongue_of(rig)[len(rig.vertices) :]
+    lowered = (before["Basis"] - after["Basis"])[:, 2] / (rig.eye_distance)
+    assert lowered[tongue].min() > 0.01 and lowered[tongue].max() < 0.4
+    np.testing.assert_allclose(lowered[~tongue], 0.0, atol=1e-6)
+    for name, points in before.items():
+        moved, own = after[name] - after["Basis"], points - before["Basis"]
+        np.testing.assert_allclose(moved, own, atol=1e-6)
+    wall = read_kinds(mouth.data) == Part.ON_SKIN
+    dark = [
+        mouth.material_slots[polygon.material_index].material == mouth_material() for polygon in mouth.data.polygons
+    ]
+    assert dark == [bool(wall[polygon.vertices[0]]) for polygon in mouth.data.polygons] and any(dark)
 
 
 def test_her_lids_are_found_in_her_own_colours_and_lie_where_her_blink_moves_them(mesh):
