@@ -42,6 +42,8 @@ def test_old_settings_and_takes_give_the_same_motion_except_for_later_gains(scen
     monkeypatch.setattr(retarget, "_LIP_GAIN", (1.0, 1.0))
     monkeypatch.setattr(retarget, "_BROW_GAIN", 1.0)
     monkeypatch.setattr(retarget, "_BROW_TILT", 0.0)
+    monkeypatch.setattr(retarget, "_WIDE_SHARE", 1.0)
+    monkeypatch.setattr(retarget, "_ROUNDER", np.zeros_like(retarget._ROUNDER))
     monkeypatch.setattr(retarget, "_FACING_LIPS", ())
     monkeypatch.setattr(posing, "_MAX_FACTOR", 1.0)
     take = load_take(FILES / "take.facetake")
