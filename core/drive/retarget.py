@@ -40,10 +40,11 @@ from .drive_settings import Mode
 _FACING_LIPS = ((UPPER_LIP, LOWER_LIP), (UPPER_LIPS, LOWER_LIPS))
 """Upper and lower landmarks of the outer and the inner lips."""
 _LIP_GAIN = (1.4, 1.4)
-"""Gains of the motion of the mouth's corners across and of the lips down. The tracker underestimates this motion, as
-its experts are uncertain about lips and its shape model draws them towards the mean. Chosen on one half of the
-strangers' clips (`lab.bench.strangers`) for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of
-hand-labelled clips do not suffer. Between the corners, lips move across as far as MediaPipe's, on both halves."""
+"""Gains of the width of the mouth and of the motion of the lips down. The tracker underestimates these, as its experts
+are uncertain about lips and its shape model draws them towards the mean. Chosen on one half of the strangers' clips
+(`lab.bench.strangers`) for a median ratio to MediaPipe's landmarks of 0.9 to 1.1, if the signs of hand-labelled clips
+do not suffer. Between the corners, lips move across as far as MediaPipe's, on both halves; mouths that move sideways
+are tracked in full on rendered clips with exact landmarks, and were shown on the wrong side of hand labels."""
 _LIPS_SHUT = 0.01
 """Distance in eye distances from rest up to which parted lips are shut. Shut lips are tracked as up to this far apart
 in nine of ten frames. This and the next were chosen on one half of the strangers' clips (`lab.bench.strangers`)."""
@@ -127,9 +128,10 @@ class Retargeter:
         self.scale[REGIONS[LOWER].landmarks, 1] *= mouth_gain
         if compensate:
             across, down = _LIP_GAIN
-            self.scale[LIPS if fitted else MOUTH_CORNERS, 0] *= across
             self.scale[LIPS, 1] *= down
-        self._seals, self._bounds = compensate, compensate and not fitted
+            if fitted:
+                self.scale[LIPS, 0] *= across
+        self._seals, self._shapes = compensate, compensate and not fitted
         self._brows_more = (_BROW_GAIN - 1.0 + _BROW_TILT * _TILT) * compensate
         self._rest_heights, self._rest_gaps = self.head_landmarks[:, 1], lid_gaps(self.head_landmarks)
         self._least_gaps = np.minimum(self._rest_gaps, -_OVERLAP * np.abs(self._rest_gaps))
@@ -152,8 +154,8 @@ class Retargeter:
             moved[..., lower, 1] += more * away[..., upper, 1]
         if self._seals:
             _seal(moved, away)
-        if self._bounds:
-            _round_opening(moved, away)
+        if self._shapes:
+            _shape_mouth(moved, away)
         # Each brow moves farther as a whole, and tilts less.
         brows = moved[..., BROWS, 1].reshape(*moved.shape[:-2], 2, -1).mean(axis=-1)
         moved[..., BROWS, 1] += (brows[..., None] * self._brows_more).reshape(*brows.shape[:-1], -1)
@@ -229,11 +231,15 @@ def _seal(moved: FloatArray, away: FloatArray) -> None:
     moved[..., LOWER_LIPS, 1] -= less
 
 
-def _round_opening(moved: FloatArray, away: FloatArray) -> None:
-    """Open wide mouths less far (equation 4.10) and rounder, in displacements (..., 66, 3), in place.
+def _shape_mouth(moved: FloatArray, away: FloatArray) -> None:
+    """Change the width of a mouth by its gain, and open wide mouths less far (equation 4.10) and rounder.
 
-    `away` (..., 66, 3) are the performer's.
+    This changes displacements (..., 66, 3) in place; `away` (..., 66, 3) are the performer's.
     """
+    first, second = MOUTH_CORNERS
+    wider = 0.5 * (_LIP_GAIN[0] - 1.0) * (moved[..., second, 0] - moved[..., first, 0])
+    moved[..., first, 0] -= wider
+    moved[..., second, 0] += wider
     beyond = np.maximum(_parted(away) - _LIPS_WIDE, 0.0)
     less = (1.0 - _WIDE_SHARE) * beyond / (beyond + _LIPS_WIDE)
     raised = less * np.maximum(_parted(moved), 0.0)

@@ -217,6 +217,14 @@ def test_the_lower_lip_of_an_open_mouth_is_rounder_than_it_is_tracked_and_its_si
     assert corners[0] == pytest.approx(-corners[1], rel=1e-6) and corners[1] > 0.0
 
 
+def test_a_mouth_that_moves_sideways_keeps_its_shape_and_moves_as_it_is_tracked(rig):
+    face, points = performer(rig), rig.vertices[rig.landmarks]
+    aside = face.copy()
+    aside[LIPS, 0] += 0.05
+    plain, shown = (Retargeter(face, points, compensate=on).displacements(aside)[LIPS] for on in (False, True))
+    np.testing.assert_allclose(shown, plain, atol=1e-9)
+
+
 def test_a_round_mouth_is_narrowed_at_its_corners_alone_unless_keys_are_fitted_to_it(rig):
     face, points = performer(rig), rig.vertices[rig.landmarks]
     narrow = face.copy()
