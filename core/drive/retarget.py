@@ -83,6 +83,14 @@ amplify lids without bound."""
 _TILT = np.array([[2.0, 1.0, 0.0, -1.0, -2.0], [-2.0, -1.0, 0.0, 1.0, 2.0]]) / 3.0
 """Heights of the landmarks of both brows from their middle, for a height of 1 between the means of their ends."""
 
+_OPENING = np.zeros(N_LANDMARKS)
+"""Weights of heights whose sum is how far the inner lips are apart."""
+_OPENING[LOWER_LIPS] = 1.0 / len(LOWER_LIPS)
+_OPENING[UPPER_LIPS] = -1.0 / len(UPPER_LIPS)
+_WIDER = np.array([[1.0, -1.0], [-1.0, 1.0]])
+"""From the places of the mouth's corners across to how far each is from the other."""
+_UPPER, _LOWER = (np.concatenate(lips) for lips in zip(*_FACING_LIPS, strict=True))
+
 
 class Retargeter:
     """Converts pose-free shapes of a performer to displacements of an avatar's landmarks.
@@ -222,7 +230,7 @@ def _seal(moved: FloatArray, away: FloatArray) -> None:
 
     `away` (..., 66, 3) are the performer's.
     """
-    parted = _parted(away)
+    parted = away[..., 1] @ _OPENING
     steepness = _LIPS_PARTED / (_LIPS_PARTED - _LIPS_SHUT)
     left = np.clip(steepness * (1.0 - _LIPS_SHUT / np.maximum(parted, _LIPS_SHUT)), 0.0, 1.0)
     opening = moved[..., LOWER_LIPS, 1] - moved[..., UPPER_LIPS, 1]
@@ -236,22 +244,14 @@ def _shape_mouth(moved: FloatArray, away: FloatArray) -> None:
 
     This changes displacements (..., 66, 3) in place; `away` (..., 66, 3) are the performer's.
     """
-    first, second = MOUTH_CORNERS
-    wider = 0.5 * (_LIP_GAIN[0] - 1.0) * (moved[..., second, 0] - moved[..., first, 0])
-    moved[..., first, 0] -= wider
-    moved[..., second, 0] += wider
-    beyond = np.maximum(_parted(away) - _LIPS_WIDE, 0.0)
+    moved[..., MOUTH_CORNERS, 0] += 0.5 * (_LIP_GAIN[0] - 1.0) * (moved[..., MOUTH_CORNERS, 0] @ _WIDER)
+    beyond = np.maximum(away[..., 1] @ _OPENING - _LIPS_WIDE, 0.0)
     less = (1.0 - _WIDE_SHARE) * beyond / (beyond + _LIPS_WIDE)
-    raised = less * np.maximum(_parted(moved), 0.0)
-    for upper, lower in _FACING_LIPS:
-        moved[..., lower, 1] -= less[..., None] * np.maximum(moved[..., lower, 1] - moved[..., upper, 1], 0.0)
-    moved[..., MOUTH_CORNERS, 1] -= _CORNERS_FOLLOW * raised[..., None]
-    moved[..., :2] += np.maximum(_parted(moved), 0.0)[..., None, None] * _ROUNDER
-
-
-def _parted(moved: FloatArray) -> FloatArray:
-    """How much farther apart the inner lips are than at rest, (...,), for displacements (..., 66, 3)."""
-    return np.asarray((moved[..., LOWER_LIPS, 1] - moved[..., UPPER_LIPS, 1]).mean(axis=-1))
+    opened = np.maximum(moved[..., 1] @ _OPENING, 0.0)
+    opening = moved[..., _LOWER, 1] - moved[..., _UPPER, 1]
+    moved[..., _LOWER, 1] -= less[..., None] * np.maximum(opening, 0.0)
+    moved[..., MOUTH_CORNERS, 1] -= _CORNERS_FOLLOW * (less * opened)[..., None]
+    moved[..., :2] += ((1.0 - less) * opened)[..., None, None] * _ROUNDER
 
 
 def _keep_apart(moved: FloatArray, upper: IntArray, lower: IntArray, rest: FloatArray) -> None:
