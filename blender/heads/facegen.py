@@ -135,7 +135,7 @@ def prepare_facegen(head: bpy.types.Object) -> bool:
 
 def refine_jane(head: bpy.types.Object) -> None:
     """Change what shows in Jane's file: make-up of the lids, by which her face is found but which would be black when
-    they shut, and a mouth that the tongue fills and whose wall is as bright as the tongue. Other heads are left.
+    they shut, and a mouth that the tongue fills and whose wall is as bright. Other heads stay as they are.
     """
     painted = [
         node

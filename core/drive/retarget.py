@@ -101,8 +101,8 @@ class Retargeter:
     a further factor of the vertical motion of the lower region. `shut`, from `Neutral`, is the lid opening of the
     performer at which the avatar's lids meet. `compensate` is whether to compensate for the tracker's errors: it
     underestimates motion of lips and brows, sees shut lips as slightly parted, and is unsure at which end an eye closes
-    first. If the displacements are `fitted` by shape keys, all of the lips moves across as their corners do and however
-    far it is open, as those learnt from it do.
+    first. If shape keys are to be `fitted` to the displacements, all of the lips has the gain of the mouth's width, and
+    wide mouths are left as they are, as in those that the fit was learnt from.
 
     Displacements are scaled by the ratio of the avatar's extent to the performer's, per region, horizontally and
     vertically (equation 4.2); landmarks of two regions take the mean. Lower lids are scaled vertically by the ratio of

@@ -29,7 +29,8 @@ _DROOP, _TAPER = 0.05, 0.35
 """Height of its middle above a straight line, in outer-eye distances, and share of its width that the tip loses."""
 
 _FLATTER = 0.5
-"""Share of its thickness by which a tongue that fills the mouth is flattened."""
+"""Share of its thickness by which a tongue that fills the mouth is flattened. This and the next two were chosen by
+looking at Jane, FaceGen's head, with an open, a wide and a round mouth."""
 _LOWER = 0.02
 """Distance in outer-eye distances by which its tip is lowered as well."""
 _ROOT_LOWER = 0.28
