@@ -155,11 +155,14 @@ def _open_up_mouth(head: bpy.types.Object) -> None:
     rig = read_rig(head)
     tongue = tongue_of(rig)
     down = np.zeros((len(rig.all_vertices), 3))
-    down[tongue] = tongue_lowered(rig, tongue)
+    if tongue.any():
+        down[tongue] = tongue_lowered(rig, tongue)
     for member in members_of(head)[1:]:
         mesh = mesh_of(member.obj)
         move_vertices(mesh, member.local_offsets(down))
         wall = read_kinds(mesh) == Part.ON_SKIN
+        if not wall.any():
+            continue
         mesh.materials.append(mouth_material())
         for polygon in mesh.polygons:
             if wall[polygon.vertices[0]]:

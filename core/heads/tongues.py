@@ -31,9 +31,9 @@ _DROOP, _TAPER = 0.05, 0.35
 _FLATTER = 0.5
 """Share of its thickness by which a tongue that fills the mouth is flattened. This and the next two were chosen by
 looking at Jane, FaceGen's head, with an open, a wide and a round mouth."""
-_LOWER = 0.02
+_TIP_DOWN = 0.02
 """Distance in outer-eye distances by which its tip is lowered as well."""
-_ROOT_LOWER = 0.28
+_ROOT_DOWN = 0.28
 """Distance by which its root is, which rises in front of the throat as the jaw turns down."""
 
 
@@ -83,5 +83,5 @@ def tongue_lowered(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:
     """
     _, heights, depths = np.asarray(rig.all_vertices, dtype=np.float64)[tongue].T
     back = (depths - depths.min()) / np.ptp(depths)
-    down = _FLATTER * (heights.max() - heights) + (_LOWER + (_ROOT_LOWER - _LOWER) * back) * rig.eye_distance
+    down = _FLATTER * (heights.max() - heights) + (_TIP_DOWN + (_ROOT_DOWN - _TIP_DOWN) * back) * rig.eye_distance
     return np.asarray(down[:, None] * (0.0, 1.0, 0.0))

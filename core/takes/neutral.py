@@ -303,9 +303,9 @@ def rest_of(take: Take, frames: IntArray, activations: FloatArray) -> Neutral:
 
 def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray, *, prior: bool = True) -> Neutral:
     """Return the neutral face of frames, averaged by `share` (N,), without their expressions `strong` (N, U)."""
-    knitted = 0.0
     added = np.tensordot(share @ strong, load_face_space().units, 1)
     shape = np.tensordot(share, take.shape[frames].astype(np.float64), 1) - added
+    own = np.ones(N_ACTIONS)  # share of the activations that is the person's own
     if prior and not take.info.get("measured"):
         actions = share @ take.actions[frames]
         acted = float(actions[_BROW_ACTIONS].max())  # NaN if unknown
@@ -313,10 +313,11 @@ def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray
         frown = float(np.nan_to_num(actions[_FROWN]).min())
         knitted = min(max((frown - _FROWNS_FROM) / (_FROWNS_FULLY - _FROWNS_FROM), 0.0), 1.0)
         shape = resting_shape(shape, brows, mouth_aperture(take.shape[take.found].astype(np.float64)), knitted)
+        own[_FROWN] -= knitted
     rested = np.sort(frames[share >= 0.5 * share.max()])
     neutral = _neutral(take, shape, rested, facing(take))
-    neutral.actions[_FROWN] *= 1.0 - knitted
-    return replace(neutral, removed=float((share @ strong).max()), asked=False)
+    removed = float((share @ strong).max())
+    return replace(neutral, actions=own * neutral.actions, removed=removed, asked=False)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:
