@@ -29,6 +29,7 @@ from ..takes.take import Take
 from ..tracking.result import TrackResult, mirror_result
 from .coefficients import CLOSES, LIP_GAP, OPENS, CoefficientSolver, has_actions, load_coefficient_model
 from .fit import fit_keys
+from .likeness import alike
 from .own_keys import BLINKS
 
 __all__ = ["COEFFICIENTS", "FrameCoefficients", "arkit_coefficients", "coefficients_of"]
@@ -47,6 +48,7 @@ class Observer:
         self.options = options
         self.neutral = neutral.mirrored() if options.mirror else neutral
         self._retargeter = retargeter_for(self.neutral, landmarks, strength=options.strength, fitted=True)
+        self._avatar = retargeter_for(self.neutral, landmarks, strength=options.strength)
         self._actions = ActionDriver(self.neutral.actions, self.neutral.shape, options.strength)
         self._gains = _gains(options)
         self._eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
@@ -56,8 +58,12 @@ class Observer:
         return mirror_result(result, MIRROR_WIDTH) if self.options.mirror else result
 
     def displacements(self, result: TrackResult) -> FloatArray:
-        """Return the displacements of the built-in head's landmarks, (66, 3), in its unit."""
+        """Return the displacements of the built-in head's landmarks, (66, 3), in its unit, as the model knows them."""
         return self._retargeter.displacements(result.shape)
+
+    def driven(self, result: TrackResult) -> FloatArray:
+        """Return those of the driven head without those of the whole head, (198,), in outer-eye distances."""
+        return multiply((self._avatar.displacements(result.shape) / self._unit).ravel(), self._own)
 
     def face(self, result: TrackResult) -> FloatArray:
         """Return the observation of a frame, (213,).
@@ -209,6 +215,7 @@ def _found(observer: Observer, results: Sequence[TrackResult]) -> FloatArray:
         return _with_looks(_fitted(moved), gaze)
     return coefficients_of(
         np.array([observer.face(result) for result in results]),
+        np.array([observer.driven(result) for result in results]),
         gaze,
         np.array([observer.shown(result) for result in results]),
     )
@@ -248,8 +255,8 @@ class FrameCoefficients:
             return _with_looks(_fitted(self._observer.displacements(result)[None]), gaze)
         observed = self._observer.face(result)[None]
         actions = bool(has_actions(observed)[0])
-        found = _with_looks(_sealed(_as_phones(_solver(actions).frames(observed, self._near)), observed), gaze)
-        return _with_measured(found, self._observer.shown(result)[None])
+        fitted = _solver(actions).frames(observed, self._near)
+        return _completed(fitted, self._observer.driven(result)[None], gaze, self._observer.shown(result)[None])
 
 
 def _scaled(coefficients: FloatArray, looks: FloatArray | None, lids: FloatArray | None) -> FloatArray:
@@ -261,28 +268,35 @@ def _scaled(coefficients: FloatArray, looks: FloatArray | None, lids: FloatArray
     return coefficients
 
 
-def coefficients_of(observed: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
+def coefficients_of(observed: FloatArray, driven: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
     """Find the coefficients (N, 52), 0 to 1, of frames of one performer from what `Observer` gives.
 
-    These are observations (N, 213), rotations (N, 2, 3, 3) of the right and left eyeball, and activations (N, 15) of
-    `ACTIONS`.
+    These are observations (N, 213), displacements of the driven head (N, 198), rotations (N, 2, 3, 3) of the right and
+    left eyeball, and activations (N, 15) of `ACTIONS`.
     """
     fitted = np.zeros((len(observed), len(FITTED)))
     complete = has_actions(observed)
     for actions in set(complete.tolist()):
         rows = np.flatnonzero(complete == actions)
         fitted[rows] = _solver(actions).take(observed[rows])
-    return _with_measured(_with_looks(_sealed(_as_phones(fitted), observed), gaze), shown)
+    return _completed(fitted, driven, gaze, shown)
 
 
-def _sealed(fitted: FloatArray, observed: FloatArray) -> FloatArray:
-    """Shut the lips in coefficients (N, 44) where they are observed to be shut, (N, 213), in place.
+def _completed(fitted: FloatArray, driven: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
+    """Turn the coefficients `FITTED` of the model, (N, 44), into all, (N, 52), that look as the driven head does."""
+    found = alike(_with_measured(_with_looks(_as_phones(fitted), gaze), shown), driven)
+    found[:, FITTED] = _sealed(found[:, FITTED], driven)
+    return found
+
+
+def _sealed(fitted: FloatArray, driven: FloatArray) -> FloatArray:
+    """Shut the lips in coefficients (N, 44) where those of the driven head, (N, 198), are shut, in place.
 
     What is left of many small coefficients would open them: the lips are shut by mouthClose as far as the jaw is open,
     and then by less of what opens them.
     """
     gaps, opens = _lip_gaps()
-    seen = observed[:, : len(LIP_GAP)] @ LIP_GAP
+    seen = driven @ LIP_GAP
     shut = np.clip((_PARTED - seen) / (_PARTED - _SHUT), 0.0, 1.0)
     excess = shut * np.maximum(fitted @ gaps - np.maximum(seen, 0.0), 0.0)
     closes = np.minimum(excess / -gaps[CLOSES], np.maximum(fitted[:, OPENS] - fitted[:, CLOSES], 0.0))

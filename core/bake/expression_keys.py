@@ -269,7 +269,7 @@ def refined_keys(
     takes: Sequence[Take],
     progress: Callable[[float], None] = lambda share: None,
 ) -> NDArray[np.float32]:
-    """Refine ARKit's keys of a head without its parts by what takes do to it (equation 9.8).
+    """Refine ARKit's keys of a head without its parts by what takes do to it (equation 9.9).
 
     The motions (K, V, 3) are the keys' displacements of the vertices: head frame, unit of the mesh. Keys that the takes
     do not show, or that are still, stay as they were, and so do those of blinks, gaze and closed lips. `progress` is
@@ -286,7 +286,7 @@ def refined_keys(
         chosen = np.zeros(len(take), dtype=bool)
         chosen[found[np.linspace(0, len(found) - 1, min(_FRAMES, len(found))).round().astype(np.intp)]] = True
         sample = take.part(chosen)
-        # Sums of the normal equations of 9.8 over frames: C^T C and C^T X, so that no motion has to be kept.
+        # Sums of the normal equations of 9.9 over frames: C^T C and C^T X, so that no motion has to be kept.
         amounts = arkit_coefficients(sample, neutral)[:, columns]
         driver = HeadDriver(skin, neutral, reuse=driver)
         together += amounts.T @ amounts

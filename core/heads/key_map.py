@@ -34,7 +34,7 @@ ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
 _MIN_MATCHES = 3
 """Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
-"""Ridge of equation 9.7 towards the gains of the given table."""
+"""Ridge of equation 9.8 towards the gains of the given table."""
 _FIRMNESS = 1e5
 """Weight of the given values in `KeyMap.invert`, relative to the coefficients that are near: far more, but well within
 double precision."""
@@ -350,7 +350,7 @@ def _by_name(keys: tuple[str, ...], known: frozenset[str]) -> dict[str, list[str
 
 
 def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], start: KeyMap) -> KeyMap:
-    """Learn the gains of K shape keys from P frames that the user posed (equation 9.7).
+    """Learn the gains of K shape keys from P frames that the user posed (equation 9.8).
 
     The frames have coefficients (P, 52) and values of the keys (P, K). A few poses leave most gains undetermined; these
     keep the values of `start`, as all its offsets do.
@@ -363,7 +363,7 @@ def learn_map(coefficients: FloatArray, poses: FloatArray, keys: Sequence[str], 
         if row.key in keys:
             before[keys.index(row.key), names.index(row.source)] += max(row.gain, 0.0)
             offsets[keys.index(row.key)] += row.offset
-    # Equation 9.7 for all keys at once.
+    # Equation 9.8 for all keys at once.
     gram = coefficients.T @ coefficients + _RIDGE * np.eye(len(names))
     products = (np.asarray(poses).T - offsets[:, None]) @ coefficients + _RIDGE * before
     gains = bounded_least_squares(gram, products, np.zeros(len(names)), np.full(len(names), np.inf))

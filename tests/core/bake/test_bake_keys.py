@@ -15,6 +15,7 @@ from facemime.core.bake.point_cache import write_point_cache
 from facemime.core.bake.whole_frames import in_between
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.errors import OutputError, SourceError
+from facemime.core.face.landmarks import N_LANDMARKS
 from facemime.core.face.names import COEFFICIENTS, N_ACTIONS, normalised
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
@@ -93,7 +94,7 @@ def test_keys_stay_within_their_slider_ranges():
 
 def test_turned_eyes_give_the_coefficients_of_their_direction():
     gaze = np.array([[np.eye(3)] * 2, [euler_to_matrix(0.0, 0.2, 0.0)] * 2])
-    found = coefficients_of(np.zeros((2, N_OBSERVED)), gaze, np.zeros((2, N_ACTIONS)))
+    found = coefficients_of(np.zeros((2, N_OBSERVED)), np.zeros((2, 3 * N_LANDMARKS)), gaze, np.zeros((2, N_ACTIONS)))
     looking = {name for name, values in zip(COEFFICIENTS, found.T, strict=True) if values[1] > 0.3 and values[0] < 0.05}
     assert looking in ({"eyeLookInLeft", "eyeLookOutRight"}, {"eyeLookOutLeft", "eyeLookInRight"})
 
