@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-smiles bench-actions bench-learning bench-correct bench-rigs bench-batch bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
+.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-gaze bench-smiles bench-actions bench-learning bench-correct bench-rigs bench-batch bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
 
 setup: $(STAMP)
 
@@ -164,6 +164,11 @@ PEER ?= ../shared/data/practice/peer
 bench-strangers: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.strangers $(STRANGERS) $(PEER) --ablate --json build/bench/strangers.json
+
+# Their pupils, compared with MediaPipe's.
+bench-gaze: build/peers/.ready
+	mkdir -p build/bench
+	build/peers/bin/python -m lab.bench.gaze $(STRANGERS) --json build/bench/gaze.json
 
 # Portraits of people who smile and who rest; needs ../shared/data.
 bench-smiles: setup

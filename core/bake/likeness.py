@@ -25,9 +25,9 @@ from ..face.landmarks import (
 from ..face.names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE
 from ..heads.built_in import load_head
 from ..numeric.arrays import FloatArray
+from ..numeric.least_squares import bounded_minimum
 from ..numeric.linalg import multiply
 from ..takes.face_space import without_similarity
-from .fit import fit_weights
 
 _NEAR = 0.3
 """`nu` of equation 9.7: weight of the distance from what was acted, relative to the mean square of a key's features."""
@@ -55,34 +55,34 @@ _WIDES = [COEFFICIENT_INDEX[f"eyeWide{side}"] for side in _EYES]
 
 @dataclass(frozen=True)
 class _Half:
-    """Coefficients of a half of the face, `keys` (K,), and how features (D,) of it depend on landmarks, (198, D).
+    """Coefficients of a half of the face, `keys` (K,), and the normal equations of their fit.
 
-    `effects` (52, D) are the features of the built-in head's units, and `apart` pairs of places in `keys`.
+    `readout` (198, K) and `fixed` (52, K) are the products of the features of displacements, and of all units, with
+    those of the keys; `fixed` is 0 for the keys themselves. `gram` (K, K) are those of the keys, with the ridge `pull`.
+    `opposite` (K,) are the places in `keys` of those that exclude them, or -1.
     """
 
     keys: NDArray[np.intp]
-    features: FloatArray
-    effects: FloatArray
-    apart: list[tuple[int, int]]
+    readout: FloatArray
+    fixed: FloatArray
+    gram: FloatArray
+    pull: float
+    opposite: NDArray[np.intp]
 
 
 def alike(coefficients: FloatArray, moved: FloatArray) -> FloatArray:
     """Return coefficients (N, 52) near the given ones with which the built-in head looks as it is driven.
 
     `moved` (N, 198) are the displacements of its landmarks without those of the whole head, in outer-eye distances.
-    Eyes that are seen shut are shut.
+    Of each exclusive pair, one has to be 0, and is afterwards. Eyes that are seen shut are shut.
     """
     out = coefficients.copy()
     for half in _halves():
-        own = half.effects[half.keys]
-        fixed = np.delete(out, half.keys, axis=1), np.delete(half.effects, half.keys, axis=0)
-        wanted = multiply(moved, half.features) - multiply(*fixed)
-        # A coefficient's distance from what was acted is another feature of it.
-        pull = np.sqrt(_NEAR * float(np.square(own).sum()) / len(own))
-        keys = np.concatenate([own, pull * np.eye(len(own))], axis=1)
-        motion = np.concatenate([wanted, pull * out[:, half.keys]], axis=1)
-        bounds = np.zeros(len(own)), np.ones(len(own))
-        out[:, half.keys] = fit_weights(motion[..., None], keys[..., None], *bounds, half.apart)
+        acted = coefficients[:, half.keys]
+        products = multiply(moved, half.readout) - multiply(coefficients, half.fixed) + half.pull * acted
+        lower, upper = np.zeros(len(half.keys)), np.ones(len(half.keys))
+        for row, (product, start) in enumerate(zip(products, acted, strict=True)):
+            out[row, half.keys] = bounded_minimum(half.gram, product, lower, upper, start, half.opposite)
     out[:, _CLOSES] = np.minimum(out[:, _CLOSES], out[:, _OPENS])
     return _blinking(out, moved)
 
@@ -116,9 +116,16 @@ def _halves() -> tuple[_Half, _Half]:
         every = np.eye(rest.size).reshape(-1, *rest.shape)
         features = np.concatenate([part.reshape(rest.size, -1) for part in features_of(every)], axis=1)
         keys = np.array([k for k, name in enumerate(COEFFICIENTS) if name.startswith(names)])
-        place = {int(k): i for i, k in enumerate(keys)}
-        apart = [(place[one], place[other]) for one, other in EXCLUSIVE.tolist() if one in place and other in place]
-        return _Half(keys, features, multiply(units, features), apart)
+        effects = multiply(units, features)
+        own = effects[keys]
+        fixed = multiply(effects, own.T)
+        fixed[keys] = 0.0
+        pull = _NEAR * float(np.square(own).sum()) / len(own)
+        gram = multiply(own, own.T) + pull * np.eye(len(own))
+        opposite = np.full(len(keys), -1)
+        pairs = np.searchsorted(keys, EXCLUSIVE[np.isin(EXCLUSIVE, keys).all(axis=1)])
+        opposite[pairs] = pairs[:, ::-1]
+        return _Half(keys, multiply(features, own.T), fixed, gram, pull, opposite)
 
     return half(_UPPER, _upper), half(_LOWER, _lower)
 

@@ -142,7 +142,12 @@ def crop_face(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int
 
 def crop_part(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
     """Crop the standardised input (height, width) of the experts of a part, centred on the translation of `pose`."""
-    return standardise(warp_to_reference(grey, pose, scale, size).pixels, _PART_FLOOR)
+    return standardise_part(warp_to_reference(grey, pose, scale, size).pixels)
+
+
+def standardise_part(crop: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Standardise the crop of a part."""
+    return standardise(crop, _PART_FLOOR)
 
 
 def first_cell(size: int, stride: int) -> float:

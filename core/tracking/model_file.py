@@ -20,13 +20,14 @@ from ..files.reading import read_bytes
 from ..numeric.arrays import FloatArray, IntArray
 from .cascade_detector import DETECTORS
 from .experts import FACE_STRIDE, PART_STRIDE, FaceExperts, FacePart, PartExperts
+from .gaze import EYES, PupilExperts
 from .linear_experts import LinearModel
 from .network import N_FEATURES, OUTPUTS, STRIDE, FaceCheck, Network, NetworkDetector
 from .patch_experts import PATCH, ActionExperts, PatchExperts
 from .pdm import PointDistributionModel
 
 MAGIC = b"FACEMIME TRACKER"
-FORMAT_VERSION = 5
+FORMAT_VERSION = 6
 _VIEWS = ("frontal", "side")
 _HEADER = struct.Struct("<16sIQ32s")
 _MAX_SIDE = 512
@@ -57,6 +58,8 @@ class TrackerModel:
     actions : tuple of ActionExperts
         Experts for what no landmark shows: an eye with its brow and its side of the nose, and the mouth with the
         cheeks.
+    pupils : PupilExperts
+        Experts for the pupils.
     patches : (PatchExperts, PatchExperts)
         Frontal view, and view with the nose to the viewer's left, which serves the other side mirrored.
     definition : (66, 3) float64
@@ -76,6 +79,7 @@ class TrackerModel:
     glance: FaceExperts
     parts: tuple[PartExperts, ...]
     actions: tuple[ActionExperts, ...]
+    pupils: PupilExperts
     patches: tuple[PatchExperts, PatchExperts]
     definition: FloatArray
     visibility: FloatArray
@@ -162,6 +166,7 @@ def save_model(model: TrackerModel, path: Path) -> str:
         **_pack_faces(model),
         **_pack_parts("part", model.parts),
         **_pack_parts("action", model.actions),
+        **_pack_parts("pupil", [model.pupils]),
         **_pack_patches(model.patches),
     }
     buffer = io.BytesIO()
@@ -246,6 +251,7 @@ def _assemble(archive: Archive, model_id: str) -> TrackerModel:
         glance=glance,
         parts=_parts(archive),
         actions=_actions(archive),
+        pupils=_pupils(archive),
         patches=(_unpack_patches(_VIEWS[0], archive), _unpack_patches(_VIEWS[1], archive)),
         definition=_places("definition", archive),
         visibility=visibility,
@@ -322,6 +328,16 @@ def _actions(archive: Archive) -> tuple[ActionExperts, ...]:
         network.check(size, (1, len(actions)))
         parts.append(ActionExperts(network, *seen, actions))
     return tuple(parts)
+
+
+def _pupils(archive: Archive) -> PupilExperts:
+    seen = next(_seen_parts("pupil", archive))
+    landmarks, _, size, paired = seen
+    network = Network(archive.data("pupil_0_network"), "pupils")
+    if not np.array_equal(landmarks, EYES) or paired:
+        raise DataError("the experts of the pupils see other landmarks than those of both eyes")
+    network.check(size, (1, 4))
+    return PupilExperts(network, *seen)
 
 
 def _seen_parts(kind: str, archive: Archive) -> Iterator[tuple[IntArray, float, tuple[int, int], bool]]:

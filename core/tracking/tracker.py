@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -356,10 +357,16 @@ class FaceTracker:
         self.timings["teeth"] += perf_counter() - began
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
             shape, landmarks = held, project_shape(held, pose)
+        # While the second thread, if there is one, measures the actions, this one finds the pupils.
+        measured = partial(
+            measure_actions, self._model.actions if parts is None else parts, grey, pose, landmarks, before
+        )
+        thread = self.fitter.second_thread
+        begun = None if thread is None else thread.submit(measured)
         began = perf_counter()
-        gaze = find_gaze(grey, pose, landmarks, shape)
+        gaze = find_gaze(self._model.pupils, grey, pose, landmarks, shape)
         looked = perf_counter()
-        actions = measure_actions(self._model.actions if parts is None else parts, grey, pose, landmarks, before)
+        actions = measured() if begun is None else begun.result()
         self.timings["gaze"] += looked - began
         self.timings["actions"] += perf_counter() - looked
         return TrackResult(

@@ -22,10 +22,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import rankdata
 
+from facemime.core.bake import arkit
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.drive import retarget
 from facemime.core.drive.driver import drive_take
-from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, outer_eye_distance
+from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, UPPER_LIDS, UPPER_LIPS, outer_eye_distance
 from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.rig import HeadRig, built_in_head
@@ -67,8 +68,12 @@ _MOVING = 3
 """Smallest number of clips on each half in which the peer's moves, for a coefficient to have figures within clips."""
 _SHUT = 0.03
 """Gap of the avatar's lips below which they are shut."""
+_SHUT_LIDS = 0.1
+"""Opening, relative to rest, below which the eyes of the driven head are shut."""
 _KEYED = "head driven by its keys"
 """The rule of the built-in head whose ARKit keys are set to the coefficients."""
+_ACTED = "its keys not brought nearer to its looks"
+"""The same with the coefficients that were found to be acted."""
 ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "as it is": {},
     "neutral face not moved towards the mean": {(resting, "_TOWARDS_MEAN"): 0.0},
@@ -143,12 +148,17 @@ def main(argv: Sequence[str] | None = None) -> int:
             measured[half][rule] = {"across": across(shapes)}
         peers = [(clips[name], clips[name].points, mean) for name in chosen]
         measured[half]["the other program's landmarks, their mean"] = {"across": across(peers)}
-    found = {name: arkit_coefficients(clip.take, calibrate(clip.take)) for name, clip in clips.items()}
-    keyed = {name: by_keys(clip.take, found[name]) for name, clip in clips.items()}
-    for half, chosen in halves.items():
-        avatar = [(clips[name], keyed[name], rest) for name in chosen]
-        measured[half][_KEYED] = {"across": across(avatar), "within": within(avatar), "shut": shut_lips(avatar)}
-    stated = {half: stated_alike([(clips[name], found[name]) for name in chosen]) for half, chosen in halves.items()}
+    as_driven = {name: driven(clip.take, rig) for name, clip in clips.items()}
+    stated: dict[str, dict[str, tuple[float, int, float, float]]] = {}
+    for rule, values in ((_ACTED, {(arkit, "alike"): lambda coefficients, _: coefficients}), (_KEYED, {})):
+        with patched(values):
+            found = {name: arkit_coefficients(clip.take, calibrate(clip.take)) for name, clip in clips.items()}
+        keyed = {name: by_keys(clip.take, found[name]) for name, clip in clips.items()}
+        for half, chosen in halves.items():
+            avatar = [(clips[name], keyed[name], rest) for name in chosen]
+            measured[half][rule] = {"across": across(avatar), "within": within(avatar), "shut": shut_lips(avatar)}
+            measured[half][rule]["lids"] = shut_lids([(as_driven[name], keyed[name], rest) for name in chosen])
+            stated[half] = stated_alike([(clips[name], found[name]) for name in chosen])
     tables = [*_tables(measured), _table_of_coefficients(list(stated.values()))]
     finish(arguments, tables, {"halves": halves, "measured": measured, "coefficients": stated})
     return 0
@@ -287,6 +297,22 @@ def shut_lips(reads: Sequence[Read]) -> float:
     return float(np.concatenate(shut).mean())
 
 
+def shut_lids(shown: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[float]:
+    """How far eyes stay open, relative to rest, where those of the driven head are shut: three quarters of them, and
+    19 of 20, stay within these.
+
+    Each clip has landmarks (N, 66, 3) of the driven head, those that are compared with them, and those at rest.
+    """
+
+    def opening(points: np.ndarray) -> np.ndarray:
+        return (points[..., LOWER_LIDS, 1] - points[..., UPPER_LIDS, 1]).reshape(*points.shape[:-2], 2, 2).mean(axis=-1)
+
+    left = [
+        opening(keyed)[opening(by) < _SHUT_LIDS * opening(rest)] / opening(rest).mean() for by, keyed, rest in shown
+    ]
+    return np.quantile(np.maximum(np.concatenate(left), 0.0), (0.75, 0.95)).tolist()
+
+
 def _both(clip: Clip, shown: np.ndarray, rest: np.ndarray) -> tuple[Features, Features]:
     """Features of both in the frames in which both find a face; the peer's are relative to the clip's median."""
     theirs = clip.points[clip.seen]
@@ -315,6 +341,11 @@ def _tables(measured: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator
         if rule in halves[0]
     ]
     yield Table("Within clips of strangers", ("figure", *moving), within_rows)
+    lids = [
+        (rule, *(_both_halves(100.0 * half[rule]["lids"][k] for half in halves) for k in range(2)))
+        for rule in (_ACTED, _KEYED)
+    ]
+    yield Table("Opening of shut eyes by keys, %", ("rule", "three quarters within", "19 of 20 within"), lids)
 
 
 def _table_of_coefficients(halves: Sequence[Mapping[str, tuple[float, int, float, float]]]) -> Table:

@@ -16,14 +16,18 @@ from multiprocessing import get_context
 from pathlib import Path
 from time import perf_counter
 
+from facemime.core.tracking.gaze import PupilExperts
 from facemime.core.tracking.model_file import TrackerModel, load_model, save_model
 from facemime.core.tracking.network import Network
 from facemime.core.tracking.tracker import DEFAULT_MODEL
 
 from ..data import ROOT, add_data_option
-from .workshop import ACTING, ACTION_PARTS, FACES, PARTS, Job, Workshop, run_job
+from .recipes import ACTING, ACTION_PARTS, FACES, PARTS, PUPIL_PART
+from .sources import Photo
+from .workshop import Job, Workshop, run_job
 
 _PHOTOS_PER_PART = 12
+_PUPILS = "pupils"
 
 
 def _run_all(jobs: list[Job], processes: int) -> None:
@@ -45,22 +49,31 @@ def _whole(workshop: Workshop, where: tuple[Path, Path, float], processes: int) 
         jobs += [Job(*where, "acting_part", (i, part, held_out)) for i, part in enumerate(parts)]
     photos = workshop.photos()
     parts = [photos[i : i + _PHOTOS_PER_PART] for i in range(0, len(photos), _PHOTOS_PER_PART)]
-    jobs += [Job(*where, "detection_part", (i, part)) for i, part in enumerate(parts)]
+    jobs += [Job(*where, step, (i, part)) for i, part in enumerate(parts) for step in ("detection_part", "pupil_part")]
     _run_all(jobs, processes)
-    jobs = [Job(*where, "detector")] + [Job(*where, "network", (name,)) for name in (*FACES, *PARTS)]
+    jobs = [Job(*where, "detector"), Job(*where, "pupils")] + [
+        Job(*where, "network", (name,)) for name in (*FACES, *PARTS)
+    ]
     _run_all(jobs + [Job(*where, "actions", (name,)) for name in ACTION_PARTS], processes)
     _run_all([Job(*where, "patches", (view,)) for view in ("frontal", "side")], processes)
     return workshop.assemble(workshop.check())
 
 
 def _further(workshop: Workshop, where: tuple[Path, Path, float], options: argparse.Namespace) -> TrackerModel:
-    """The model that ships, with some of its parts trained further."""
+    """The model that ships, with some of its parts trained further, or the experts of the pupils trained anew."""
+    steps: dict[str, list[Photo]] = {}
+    if _PUPILS in options.further:
+        steps["pupil_part"] = workshop.photos()
+    if set(options.further) & set(PARTS):
+        steps |= {"part": workshop.photos(), "clip_part": workshop.clips()}
     jobs = []
-    for step, photos in (("part", workshop.photos()), ("clip_part", workshop.clips())):
+    for step, photos in steps.items():
         parts = [photos[i : i + _PHOTOS_PER_PART] for i in range(0, len(photos), _PHOTOS_PER_PART)]
         jobs += [Job(*where, step, (i, part)) for i, part in enumerate(parts)]
     _run_all(jobs, options.jobs)
     model = load_model(DEFAULT_MODEL)
+    if _PUPILS in options.further:
+        model = replace(model, pupils=PupilExperts(Network(workshop.pupils(), "pupils"), *PUPIL_PART))
     experts = []
     for name, part in zip(PARTS, model.parts, strict=True):
         network = Network(workshop.further(name, model), "maps") if name in options.further else part.network
@@ -75,8 +88,10 @@ def main() -> None:
     parser.add_argument("--effort", type=_share, default=1.0, help="share of images and training, to try the steps (1)")
     parser.add_argument("--work", type=Path, help="folder of the results (build/model)")
     parser.add_argument("--output", type=Path, help="the model (the one that ships, or the folder of the results)")
-    further = "train only the networks of these parts further, eye or mouth, and keep the rest of the model that ships"
-    parser.add_argument("--further", nargs="+", choices=PARTS, metavar="PART", help=further)
+    further = (
+        "train only the networks of these parts further, eye or mouth, or pupils anew, and keep the rest of the model"
+    )
+    parser.add_argument("--further", nargs="+", choices=(*PARTS, _PUPILS), metavar="PART", help=further)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of processes (one per core)")
     options = parser.parse_args()
     whole = options.effort == 1.0

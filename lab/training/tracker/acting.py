@@ -98,7 +98,7 @@ def action_samples(
             expression, tongue, shown = _sample_actions(head, skinned, rng)
         eyes = random_eyes(rng) if rng.random() < 0.7 else None
         if eyes is not None:
-            _follow_gaze(head, expression, eyes.gaze)
+            follow_gaze(head, expression, eyes.gaze)
         pose = random_pose(rng)
         pose[1:3] *= 0.75
         light = random_light(rng, darkest=0.35, brightest=0.9)
@@ -213,7 +213,7 @@ def _seal(head: IctHead, weights: np.ndarray, rng: np.random.Generator) -> None:
         weights[head.index("mouthRollUpper")] = amount * rng.uniform(0.7, 1.0) * (both > 0.2)
 
 
-def _follow_gaze(head: IctHead, weights: np.ndarray, gaze: np.ndarray) -> None:
+def follow_gaze(head: IctHead, weights: np.ndarray, gaze: np.ndarray) -> None:
     """Let the lids follow the eyes, in place."""
     for (pitch, yaw), side, outwards in zip(gaze, "RL", (1.0, -1.0), strict=True):
         turned = {"Down": pitch, "Up": -pitch, "Out": outwards * yaw, "In": -outwards * yaw}

@@ -76,9 +76,9 @@ def draw_actions(samples: ActionSamples, part: ActionPart, count: int, rng: np.r
         pose[3] += rng.normal(0, 0.03)
         pose[4:6] = points[part.landmarks].mean(axis=0) + rng.normal(0, 0.02, 2) * SCALE
         if rng.random() < _SPOILT:
-            image = _spoilt_source(image, rng)
+            image = spoilt_source(image, rng)
         picture = crop_part(image, pose, part.scale, part.size)
-        pictures[row, 0] = _covered(picture, rng) if rng.random() < _SPOILT else picture
+        pictures[row, 0] = covered(picture, rng) if rng.random() < _SPOILT else picture
         actions[row] = shown[part.actions]
     return ActionBatch(pictures, actions)
 
@@ -109,7 +109,7 @@ class Crops:
             absent, far = fate < _CLUTTER, _CLUTTER <= fate < _MISPLACED
             image = clutter[rng.integers(len(clutter))] if absent else sample.image
             pose = _misplaced(sample.pose, rng) if far else _perturbed(sample.pose, rng.random() < loose, rng)
-            picture = crop_face(_spoilt_source(image, rng), pose, scale, size)
+            picture = crop_face(spoilt_source(image, rng), pose, scale, size)
             cells = _in_crop(sample.landmarks, pose, scale, (size, size), FACE_STRIDE)
             shown = not (absent or far)
             known = absent or far or _is_near(pose, sample.pose)
@@ -129,7 +129,7 @@ class Crops:
             pose[0] *= np.exp(rng.normal(0, growth))
             pose[3] += rng.normal(0, turn)
             pose[4:6] += rng.normal(0, move, 2) * SCALE
-            picture = crop_part(_spoilt_source(sample.image, rng), pose, scale, size)
+            picture = crop_part(spoilt_source(sample.image, rng), pose, scale, size)
             cells = _in_crop(sample.landmarks, pose, scale, size, PART_STRIDE)
             return picture, cells, sample.weights, (1.0, 1.0)
 
@@ -151,7 +151,7 @@ class Crops:
         for row, i in enumerate(rng.choice(len(self._odds), count, p=self._odds)):
             sample = self._sample(int(i), landmarks, rng.random() < 0.5)
             picture, places[row], weight, face[row] = draw(sample)
-            pictures[row, 0] = _covered(picture, rng)
+            pictures[row, 0] = covered(picture, rng)
             inside = ((places[row] > 0) & (places[row] < np.array(size) // stride - 1)).all(-1)
             weights[row] = weight * inside
         return Batch(pictures, places, weights, face)
@@ -219,7 +219,7 @@ def _is_near(pose: np.ndarray, truth: np.ndarray) -> bool:
     )
 
 
-def _spoilt_source(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def spoilt_source(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Return an image with its own lighting and, sometimes, out of focus."""
     if rng.random() < 0.3:
         image = cv2.convertScaleAbs(image, alpha=rng.uniform(0.3, 1.4))
@@ -228,12 +228,12 @@ def _spoilt_source(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return image
 
 
-def _covered(picture: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Return a standardised image with noise or, sometimes, something in front."""
+def covered(picture: np.ndarray, rng: np.random.Generator, share: float = 0.25) -> np.ndarray:
+    """Return a standardised image with noise or, in a `share` of images, something in front."""
     size = max(picture.shape)
     if rng.random() < 0.25:
         picture = picture + rng.normal(0, rng.uniform(0.02, 0.25), picture.shape).astype(np.float32)
-    if rng.random() < 0.25:
+    if rng.random() < share:
         height, width = rng.integers(size // 10, size * 2 // 5, 2)
         y, x = rng.integers(0, size - size // 10, 2)
         hidden = picture[y : y + height, x : x + width]

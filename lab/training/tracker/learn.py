@@ -13,7 +13,8 @@ from torch.nn import functional as F
 
 from .crops import ActionBatch, Batch
 from .detection import SceneBatch
-from .networks import ActionNetwork, DetectorNetwork, FaceNetwork, MapLoss, PartNetwork
+from .networks import ActionNetwork, DetectorNetwork, FaceNetwork, MapLoss, PartNetwork, PupilNetwork
+from .pupils import PupilBatch
 
 RATE = 3e-3
 _AVERAGE = 0.005
@@ -47,6 +48,11 @@ def train_maps(
 def train_actions(network: ActionNetwork, draw: Callable[[], ActionBatch], course: Course) -> nn.Module:
     """Train the network of the expert of actions."""
     return _train(network, lambda: _action_loss(network, draw()), course, "off")
+
+
+def train_pupils(network: PupilNetwork, draw: Callable[[], PupilBatch], course: Course) -> nn.Module:
+    """Train the network of the experts of the pupils."""
+    return _train(network, lambda: _pupil_loss(network, draw()), course, "heights")
 
 
 def train_detector(network: DetectorNetwork, draw: Callable[[], SceneBatch], course: Course) -> nn.Module:
@@ -119,6 +125,15 @@ def _action_loss(network: ActionNetwork, batch: ActionBatch) -> tuple[Tensor, fl
     # Cross-entropy, because a loss that asks for the median would ignore what is rare and hard to see.
     loss = F.binary_cross_entropy_with_logits(out, wanted, pos_weight=torch.tensor(_RARE))
     return 2.0 * loss, float((torch.sigmoid(out.detach()) - wanted).abs().mean())
+
+
+def _pupil_loss(network: PupilNetwork, batch: PupilBatch) -> tuple[Tensor, float]:
+    """Loss, and mean distance in heights of the band."""
+    out = network(torch.from_numpy(batch.pictures).to(memory_format=torch.channels_last))
+    away = (out.view(-1, 2, 2) - torch.from_numpy(batch.pupils)).square().sum(-1)
+    known = torch.from_numpy(batch.known)
+    distance = (torch.sqrt(away + 1e-6) * known).sum() / known.sum().clamp_min(1.0)
+    return 10.0 * distance, float(distance.detach())
 
 
 def _detector_loss(network: DetectorNetwork, batch: SceneBatch) -> tuple[Tensor, float]:

@@ -16,6 +16,7 @@ from torch.nn import functional as F
 
 FACE_CHANNELS, PART_CHANNELS = (16, 32, 64, 96), (32, 32, 48, 72)
 DETECTOR_CHANNELS = (12, 24, 48, 64)
+PUPIL_CHANNELS = (12, 20, 32)
 ACTION_CHANNELS = (16, 32, 48, 72, 16)
 
 
@@ -121,6 +122,31 @@ class ActionNetwork(nn.Module):
         return told if self.training else torch.sigmoid(told)
 
 
+class PupilNetwork(nn.Module):
+    """(B, 1, H, W) to the places of both pupils (B, 4), `(x, y, x, y)` from the middle of the band, in its heights.
+
+    Few layers, as each takes as long as its multiplications on so small an image.
+    """
+
+    outputs = ("pupils",)
+
+    def __init__(self, width: int, height: int) -> None:
+        super().__init__()
+        a, b, c = PUPIL_CHANNELS
+        self.seen = nn.Sequential(
+            *(_convolution(1, a, 5, 2), _convolution(a, b, 3, 2), _convolution(b, c, 3, 1), _convolution(c, c, 3, 2)),
+        )
+        self.told = nn.Sequential(
+            *(nn.Flatten(), nn.Linear(c * (width // 8) * (height // 8), 64)),
+            *(nn.ReLU(inplace=True), nn.Linear(64, 4)),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Places."""
+        told: Tensor = self.told(self.seen(x))
+        return told
+
+
 class DetectorNetwork(nn.Module):
     """From (B, 1, H, W) to the log odds that a cell shows a face, and to its pose (B, 8, H / 8, W / 8)."""
 
@@ -194,7 +220,9 @@ class MapLoss(torch.autograd.Function):
         return out.to(ctx.kind), None, None, None
 
 
-def to_onnx(network: FaceNetwork | PartNetwork | ActionNetwork | DetectorNetwork, width: int, height: int) -> bytes:
+def to_onnx(
+    network: FaceNetwork | PartNetwork | ActionNetwork | PupilNetwork | DetectorNetwork, width: int, height: int
+) -> bytes:
     """Return the network for images of that size in the form that OpenCV reads."""
     buffer = io.BytesIO()
     torch.onnx.export(

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 
 from facemime.core.face.landmarks import MIRROR
-from facemime.core.face.names import ACTIONS, action_indices
 from facemime.core.tracking.experts import FaceExperts, PartExperts
+from facemime.core.tracking.gaze import PupilExperts
 from facemime.core.tracking.model_file import TrackerModel
 from facemime.core.tracking.network import N_FEATURES, OUTPUTS, FaceCheck, Network, NetworkDetector
 from facemime.core.tracking.patch_experts import ActionExperts, PatchExperts
@@ -21,78 +21,47 @@ from facemime.core.tracking.tracker import FaceTracker
 from .acting import ActionSamples, action_samples
 from .boxes import fit_box_offsets
 from .checks import clutter, collect_features, train_check
-from .crops import FURTHER_SHARE, ActionPart, Crops, draw_actions
+from .crops import FURTHER_SHARE, Crops, draw_actions
 from .definition import definition_offset
 from .detection import SCENE, Heads, Scenes, heads_of, surfaces
 from .heads import load_ict
+from .irises import IRISES
 from .patches import mirror_samples, reference_set, train_experts
+from .pupils import PupilCrops, PupilSamples, pupil_samples
+from .recipes import (
+    ACTING,
+    ACTION_BATCH,
+    ACTION_PARTS,
+    ACTION_STEPS,
+    BATCH,
+    DETECTOR_BATCH,
+    DETECTOR_STEPS,
+    FACES,
+    FRONTAL_BELOW,
+    FURTHER_RATE,
+    FURTHER_STEPS,
+    HELD_OUT_ACTING,
+    LOOKING,
+    N_CLUTTER,
+    PARTS,
+    PATCH_SCALE,
+    PUPIL_BATCH,
+    PUPIL_PART,
+    PUPIL_STEPS,
+    RECIPES,
+    RENDERS_PER_SKIN,
+    RESTING,
+    SCENE_HEADS,
+    SCENE_HEADS_BY_HAND,
+    SEED,
+    SIDE_ABOVE,
+    STEPS,
+    VARIANCE,
+)
 from .samples import Samples, photo_samples, render_samples
 from .shape_model import build_shape_model
 from .sources import AUTOMATIC, CLIPS, HAND_LABELLED, Photo, read_photos, split
 from .trust import trusted_photos
-
-SEED = 2019
-PATCH_SCALE = 72.0
-"""Pixels per outer-eye distance of the patch experts."""
-FRONTAL_BELOW, SIDE_ABOVE = 0.5, 0.22
-"""Yaw in radians up to which and from which the views' training images extend; those in between are used for both."""
-N_CLUTTER = 1500
-BATCH = {"face": 64, "glance": 96, "eye": 96, "mouth": 96}
-STEPS = {"face": 7000, "glance": 4000, "eye": 6000, "mouth": 6000}
-FURTHER_STEPS = 3000
-"""Steps by which the network of a part that ships is trained further."""
-FURTHER_RATE = 5e-4
-"""Highest rate of these steps, a sixth of that from the beginning."""
-VARIANCE = {"face": 0.6, "glance": 0.3, "eye": 0.5, "mouth": 0.5}
-"""Variance of the desired maps in cells."""
-FACES = {"face": (36.0, 96, 0.4), "glance": (20.0, 48, 0.15)}
-"""Pixels per outer-eye distance, side of the image, and share of images at poses as wrong as a detector's. The second
-network sees a face where it was a frame ago, at a quarter of the cost."""
-PARTS = {
-    "eye": (np.r_[17:22, 36:42], 60.0, (48, 40), True),
-    "mouth": (np.r_[31:36, 48:66], 44.0, (40, 48), False),
-}
-"""Landmarks, pixels per outer-eye distance, size of the image, and whether the other half of the face has the part,
-too."""
-_UPPER = ("browInnerUpRight", "browDownRight", "noseSneerRight", "cheekSquintRight")
-_LOWER = [name for name in ACTIONS if name.startswith(("tongue", "mouth", "cheekPuff"))]
-ACTION_PARTS = {
-    "eye": ActionPart(action_indices(_UPPER), np.array([31, 36, 39]), 48.0, (48, 56), True),
-    "mouth": ActionPart(action_indices(_LOWER), np.array([48, 54, 57]), 44.0, (64, 56), False),
-}
-"""The image of the eye extends from above the brow to the wing of the nose, that of the mouth over both cheeks."""
-ACTION_BATCH, ACTION_STEPS = 64, 30_000
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """Number of training images per photo of a source, and trust in its labels.
-
-    `renders` show any expression, `speaking` ones a mouth that speaks, `copies` are the photo itself, degraded.
-    """
-
-    renders: int
-    speaking: int
-    copies: int
-    weight: float
-
-
-RECIPES = {
-    "london_neutral": Recipe(50, 40, 36, 1.0),
-    "canada": Recipe(50, 40, 36, 1.0),
-    "london_smiling": Recipe(12, 10, 24, 0.6),
-    "congress": Recipe(8, 6, 16, 0.3),
-    CLIPS: Recipe(0, 0, 4, 0.2),
-}
-ACTING = {"london_neutral": 96, "canada": 96, "congress": 8}
-"""Number of renders of a photo for the expert of actions, and of a held-out photo, the first of which show a face at
-rest."""
-_HELD_OUT_ACTING, _RESTING = 60, 10
-SCENE_HEADS_BY_HAND, SCENE_HEADS = 24, 4
-"""Number of renders for the face detector per photo labelled by hand, and per other photo."""
-DETECTOR_BATCH, DETECTOR_STEPS = 48, 9000
-_RENDERS_PER_SKIN = 24
-"""Number of renders of a photo before it is decided again whether to mirror it."""
 
 
 class Workshop:
@@ -150,8 +119,8 @@ class Workshop:
         for photo in photos:
             recipe = RECIPES[photo.source]
             plain, speaking = (6, 0) if held_out else (self._share(recipe.renders), self._share(recipe.speaking))
-            for first in range(0, plain, _RENDERS_PER_SKIN):
-                count = min(_RENDERS_PER_SKIN, plain - first)
+            for first in range(0, plain, RENDERS_PER_SKIN):
+                count = min(RENDERS_PER_SKIN, plain - first)
                 parts.append(render_samples(head, model, photo, backgrounds, count, rng, recipe.weight))
             if speaking:
                 parts.append(
@@ -181,10 +150,10 @@ class Workshop:
         rng = np.random.default_rng((SEED, 31, number, held_out))
         parts = []
         for i, photo in enumerate(photos):
-            count = self._share(_HELD_OUT_ACTING if held_out else ACTING[photo.source])
-            for first in range(0, count, _RENDERS_PER_SKIN if not held_out else count):
-                size = count if held_out else min(_RENDERS_PER_SKIN, count - first)
-                resting = min(_RESTING, size) if held_out else 1
+            count = self._share(HELD_OUT_ACTING if held_out else ACTING[photo.source])
+            for first in range(0, count, RENDERS_PER_SKIN if not held_out else count):
+                size = count if held_out else min(RENDERS_PER_SKIN, count - first)
+                resting = min(RESTING, size) if held_out else 1
                 parts.append(action_samples(head, model, photo, 1000 * number + i, backgrounds, size, rng, resting))
         ActionSamples.join(parts).save(path)
         return path
@@ -245,6 +214,35 @@ class Workshop:
             course = Course(self._share(ACTION_STEPS), path.with_suffix(".pt"), path.stem)
             network = train_actions(ActionNetwork(len(part.actions), *part.size), draw, course)
             path.write_bytes(to_onnx(network, *part.size))
+        return path.read_bytes()
+
+    def pupil_part(self, number: int, photos: list[Photo]) -> Path:
+        """A file of training images for the experts of the pupils."""
+        path = self.work / "pupils" / f"{number:03d}.npz"
+        if not path.exists():
+            head, model = load_ict(self.data), self.shape()
+            backgrounds = split(read_photos(self.data, "congress"))[0]
+            rng = np.random.default_rng((SEED, 61, number))
+            counts = [self._share(LOOKING[photo.source]) for photo in photos]
+            drawn = [pupil_samples(head, model, p, backgrounds, n, rng) for p, n in zip(photos, counts, strict=True)]
+            PupilSamples.join(drawn).save(path)
+        return path
+
+    def pupils(self) -> bytes:
+        """The network of the experts of the pupils, in ONNX; `irises` has to have labelled the photos before."""
+        path = self.work / "pupils.onnx"
+        if not path.exists():
+            from .learn import Course, train_pupils
+            from .networks import PupilNetwork, to_onnx
+
+            samples = {"renders": PupilSamples.load_all(self.work / "pupils")}
+            samples |= {path.stem: PupilSamples.load(path) for path in (self.work / IRISES).glob("*.npz")}
+            crops = PupilCrops(samples, np.random.default_rng((SEED, 62)))
+            _, scale, size, _ = PUPIL_PART
+            course = Course(self._share(PUPIL_STEPS), path.with_suffix(".pt"), path.stem)
+            draw = partial(crops.batch, PUPIL_BATCH, scale, size)
+            network = train_pupils(PupilNetwork(*size), draw, course)
+            path.write_bytes(to_onnx(network, *size))
         return path.read_bytes()
 
     def detection_part(self, number: int, photos: list[Photo]) -> Path:
@@ -335,6 +333,7 @@ class Workshop:
             glance=glance,
             parts=tuple(parts),
             actions=actions,
+            pupils=PupilExperts(Network(self.pupils(), "pupils"), *PUPIL_PART),
             patches=patches,
             definition=definition,
             visibility=self.visibility(),

@@ -59,6 +59,7 @@ def test_coefficients_that_look_right_already_stay(units, seed):
 def test_opposites_exclude_each_other_and_what_landmarks_do_not_show_stays(units, seed):
     rng = np.random.default_rng(seed)
     found = rng.uniform(0.0, 1.0, (3, len(COEFFICIENTS)))
+    found[:, EXCLUSIVE[np.arange(len(EXCLUSIVE)), rng.integers(0, 2, len(EXCLUSIVE))]] = 0.0
     looked = alike(found, rng.normal(0.0, 0.05, (3, units.shape[1])))
     assert (looked >= 0.0).all() and (looked <= 1.0).all()
     fitted = EXCLUSIVE[FITTED_BY_LOOKS[EXCLUSIVE].all(axis=1)]
@@ -87,6 +88,12 @@ def test_a_motion_that_was_missed_is_shown_in_part_by_its_own_coefficient(units,
     left = np.linalg.norm(moved - looked @ units) / np.linalg.norm(moved)
     assert left < 0.7
     assert looked[0].argmax() == COEFFICIENT_INDEX[name]
+
+
+def test_a_smile_that_is_seen_to_be_a_frown_becomes_one(units):
+    looked = alike(acted(mouthSmileLeft=0.15), acted(mouthFrownLeft=0.8) @ units)
+    smile, frown = (looked[0, COEFFICIENT_INDEX[name]] for name in ("mouthSmileLeft", "mouthFrownLeft"))
+    assert smile == 0.0 < frown
 
 
 def test_a_flipped_face_has_the_coefficients_of_the_other_side(units):

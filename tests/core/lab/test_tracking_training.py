@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -19,6 +20,7 @@ from lab.training.tracker.crops import ActionPart, draw_actions
 from lab.training.tracker.heads import load_ict, sample_speech
 from lab.training.tracker.organs import random_eyes, tongue_out
 from lab.training.tracker.patches import mirror_samples
+from lab.training.tracker.pupils import EYES, PupilCrops, PupilSamples
 from lab.training.tracker.samples import SIZE, Samples, degrade
 from lab.training.tracker.sources import Photo, held_out_people, mirrored, person_of, split
 from lab.training.tracker.wrinkles import crease
@@ -84,6 +86,27 @@ def test_an_action_is_learnt_on_the_side_where_it_is_seen_in_mirrored_images_too
     brighter = [picture[:, :16].mean() > picture[:, -16:].mean() for picture in drawn.pictures[:, 0]]
     assert (drawn.actions.sum(axis=1) == 1.0).all() and 0 < drawn.actions[:, 0].sum() < 64
     assert np.mean(brighter == (drawn.actions[:, 0] == 1.0)) > 0.95  # a few are covered by something in front
+
+
+def test_pupils_are_learnt_where_they_are_in_mirrored_and_misplaced_images_too() -> None:
+    outlines = np.array([[[34, 64], [40, 60], [48, 60], [54, 64], [48, 67], [40, 67]]], np.float32)
+    eyes = np.concatenate([outlines, outlines + (40.0, 0.0)])
+    pupils = np.array([[42.0, 63.0], [83.0, 64.0]], np.float32)
+    image = np.full((EYES, EYES), 230, np.uint8)
+    for x, y in pupils:
+        cv2.circle(image, (round(x), round(y)), 4, 20, -1)
+    hidden = np.float32([pupils[0], [np.nan, np.nan]])
+    samples = PupilSamples(np.stack([image] * 2), np.stack([eyes] * 2), np.stack([pupils, hidden]))
+    crops = PupilCrops({"renders": samples, "photos": samples}, np.random.default_rng(5))
+    batch = crops.batch(60, 60.0, (80, 24))
+    seen, shown = [], 0
+    for (picture,), cells, weights in zip(batch.pictures, batch.cells, batch.weights, strict=True):
+        shown += int(weights.sum())
+        for x, y in 2.0 * cells[weights > 0.0] + 0.5:
+            around = picture[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2]
+            seen.append(around.mean() < np.quantile(picture, 0.2))
+    assert 60 < shown < 120  # one pupil of half of the images is hidden
+    assert np.mean(seen) > 0.8  # others are covered or spoilt
 
 
 def test_the_rasteriser_fills_a_triangle_and_lets_the_nearer_one_win() -> None:
