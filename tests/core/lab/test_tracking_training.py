@@ -99,10 +99,9 @@ def test_pupils_are_learnt_where_they_are_in_mirrored_and_misplaced_images_too()
     samples = PupilSamples(np.stack([image] * 2), np.stack([eyes] * 2), np.stack([pupils, hidden]))
     crops = PupilCrops({"renders": samples, "photos": samples}, np.random.default_rng(5))
     batch = crops.batch(60, 60.0, (80, 24))
-    seen, shown = [], 0
-    for (picture,), cells, weights in zip(batch.pictures, batch.cells, batch.weights, strict=True):
-        shown += int(weights.sum())
-        for x, y in 2.0 * cells[weights > 0.0] + 0.5:
+    seen, shown = [], int(batch.known.sum())
+    for (picture,), pupils, known in zip(batch.pictures, batch.pupils, batch.known > 0.0, strict=True):
+        for x, y in 24 * pupils[known] + (39.5, 11.5):
             around = picture[round(y) - 1 : round(y) + 2, round(x) - 1 : round(x) + 2]
             seen.append(around.mean() < np.quantile(picture, 0.2))
     assert 60 < shown < 120  # one pupil of half of the images is hidden
