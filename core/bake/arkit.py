@@ -20,7 +20,7 @@ from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.names import ACTIONS, COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE, FITTED, action_indices
 from ..face.rotation import euler_to_matrix, limit_rotation
-from ..heads.built_in import LOOKS, load_head, looks_of
+from ..heads.built_in import LOOKS, landmarks_at_rest, load_head, looks_of
 from ..numeric.arrays import FloatArray
 from ..numeric.linalg import multiply
 from ..takes.face_space import without_similarity
@@ -43,7 +43,7 @@ class Observer:
     """
 
     def __init__(self, neutral: Neutral, options: DriveSettings) -> None:
-        landmarks = _landmarks()
+        landmarks = landmarks_at_rest()
         self._unit, self._own = outer_eye_distance(landmarks), _own_motion()
         self.options = options
         self.neutral = neutral.mirrored() if options.mirror else neutral
@@ -112,19 +112,13 @@ def _gains(options: DriveSettings) -> FloatArray:
     return np.array([gain(name) for name in COEFFICIENTS])
 
 
-def _landmarks() -> FloatArray:
-    """Landmarks of the built-in head at rest, (66, 3), in its unit."""
-    head = load_head()
-    return head.vertices[head.landmarks].astype(np.float64)
-
-
 @lru_cache(maxsize=1)
 def _own_motion() -> FloatArray:
     """Projection, (198, 198), whose rows map coordinates to what remains without the motion of the whole head.
 
     Removing a similarity is linear.
     """
-    landmarks = _landmarks()
+    landmarks = landmarks_at_rest()
     every = np.eye(landmarks.size).reshape(-1, *landmarks.shape)
     return without_similarity(every, landmarks / outer_eye_distance(landmarks)).reshape(len(every), -1)
 
@@ -312,7 +306,7 @@ def _lip_gaps() -> tuple[FloatArray, NDArray[np.intp]]:
     """Return how far coefficients `FITTED` open the lips of the built-in head at 1, (44,), in outer-eye distances, and
     the positions of those that do, except for the jaw.
     """
-    head, unit = load_head(), outer_eye_distance(_landmarks())
+    head, unit = load_head(), outer_eye_distance(landmarks_at_rest())
     units = head.units[FITTED][:, head.landmarks].astype(np.float64) / unit
     gaps = np.asarray(units.reshape(len(FITTED), -1) @ LIP_GAP)
     return gaps, np.setdiff1d(np.flatnonzero(gaps > 0.0), [OPENS])

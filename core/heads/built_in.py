@@ -127,6 +127,12 @@ def load_head(path: Path | None = None) -> Head:
     return _shipped(path) if path in (HEAD_FILE, WOMAN_FILE) else _read(path)
 
 
+def landmarks_at_rest() -> FloatArray:
+    """Landmarks of the built-in head, (66, 3) float64, in its unit."""
+    head = load_head()
+    return head.vertices[head.landmarks].astype(np.float64)
+
+
 def _read(path: Path) -> Head:
     try:
         archive = read_archive(read_bytes(path, MAX_BYTES))

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.likeness import _LOWER, _UPPER, _landmarks, alike
+from facemime.core.bake.likeness import _LOWER, _UPPER, alike
 from facemime.core.face.landmarks import LOWER_LIDS, N_LANDMARKS, UPPER_LIDS, outer_eye_distance
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, COEFFICIENTS, EXCLUSIVE
-from facemime.core.heads.built_in import load_head
+from facemime.core.heads.built_in import landmarks_at_rest, load_head
 from facemime.core.takes.face_space import without_similarity
 
 FITTED_BY_LOOKS = np.array([name.startswith((*_UPPER, *_LOWER)) for name in COEFFICIENTS])
@@ -19,9 +19,10 @@ FITTED_BY_LOOKS = np.array([name.startswith((*_UPPER, *_LOWER)) for name in COEF
 @pytest.fixture(scope="module")
 def units() -> np.ndarray:
     """Motions of the built-in head's landmarks at 1, (52, 198), in outer-eye distances."""
-    head = load_head()
-    every = head.units[:, head.landmarks].astype(np.float64) / outer_eye_distance(head.vertices[head.landmarks])
-    return without_similarity(every, _landmarks()).reshape(len(every), -1)
+    head, rest = load_head(), landmarks_at_rest()
+    unit = outer_eye_distance(rest)
+    every = head.units[:, head.landmarks].astype(np.float64) / unit
+    return without_similarity(every, rest / unit).reshape(len(every), -1)
 
 
 def acted(**amounts: float) -> np.ndarray:
@@ -34,7 +35,8 @@ def acted(**amounts: float) -> np.ndarray:
 
 def opening(moved: np.ndarray) -> np.ndarray:
     """Opening of the right and the left eye (2,) relative to rest, for displacements (198,)."""
-    rest = _landmarks()
+    rest = landmarks_at_rest()
+    rest /= outer_eye_distance(rest)
     shown = rest + moved.reshape(N_LANDMARKS, 3)
     gaps = [(face[LOWER_LIDS, 1] - face[UPPER_LIDS, 1]).reshape(2, 2).mean(axis=1) for face in (shown, rest)]
     return np.asarray(gaps[0] / gaps[1])
