@@ -15,16 +15,18 @@ pytest.importorskip("onnx", reason="ONNX is not installed; `make model` does it"
 from facemime.core.tracking.network import OUTPUTS, Network, NetworkDetector  # noqa: E402
 from lab.training.tracker.crops import ActionBatch, Batch  # noqa: E402
 from lab.training.tracker.detection import Heads, Scenes  # noqa: E402
-from lab.training.tracker.learn import Course, train_actions, train_detector, train_maps  # noqa: E402
+from lab.training.tracker.learn import Course, train_actions, train_detector, train_maps, train_pupils  # noqa: E402
 from lab.training.tracker.networks import (  # noqa: E402
     ActionNetwork,
     DetectorNetwork,
     FaceNetwork,
     MapLoss,
     PartNetwork,
+    PupilNetwork,
     load_onnx,
     to_onnx,
 )
+from lab.training.tracker.pupils import PupilBatch  # noqa: E402
 
 
 def test_the_loss_has_the_gradient_of_its_definition() -> None:
@@ -54,6 +56,27 @@ def test_opencv_runs_the_face_network_as_pytorch_does(size: int) -> None:
     shown = Network(to_onnx(network, 96, 96), "maps", "face")(picture)
     for ours, theirs in zip(shown, expected, strict=True):
         np.testing.assert_allclose(ours, theirs.numpy(), atol=1e-4)
+
+
+def test_a_network_learns_where_pupils_are_and_opencv_runs_it_as_pytorch_does(tmp_path: Path) -> None:
+    rng = np.random.default_rng(4)
+    across, down = np.meshgrid(np.arange(32), np.arange(16))
+
+    def draw() -> PupilBatch:
+        pupils = rng.uniform(-0.2, 0.2, (32, 2, 2)) + [(-0.5, 0.0), (0.5, 0.0)]
+        x, y = (16.0 * pupils[..., k, None, None] + (15.5, 7.5)[k] for k in (0, 1))
+        eyes = np.exp(-0.25 * ((across - x) ** 2 + (down - y) ** 2)).sum(axis=1, keepdims=True)
+        return PupilBatch(np.float32(-2.0 * eyes), np.float32(pupils), np.ones((32, 2), np.float32))
+
+    torch.manual_seed(2)
+    network = train_pupils(PupilNetwork(32, 16), draw, Course(150, tmp_path / "pupils.pt", "pupils")).eval()
+    batch = draw()
+    with torch.no_grad():
+        expected = network(torch.from_numpy(batch.pictures)).numpy()
+    away = np.linalg.norm(expected.reshape(-1, 2, 2) - batch.pupils, axis=2)
+    assert away.mean() < 0.06  # 0.15 at the middle of each eye
+    shown = Network(to_onnx(network, 32, 16), "pupils")
+    np.testing.assert_allclose([shown(picture)[0][0] for picture in batch.pictures], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("network", [FaceNetwork, lambda: PartNetwork(23)])
