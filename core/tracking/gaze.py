@@ -31,8 +31,7 @@ _IRIS = 0.066
 """Radius of the iris: 5.9 mm at an outer-eye distance of 89 mm."""
 _REACH = 0.035
 """Standard deviation, in outer-eye distances, of the weight of votes about the place that the expert gives. Chosen on
-half A of the strangers' clips (`lab.bench.gaze`): with 0.045 more pupils are misplaced, with 0.03 crossed
-eyes are less so."""
+half A of the strangers' clips: with 0.045, more pupils are misplaced; with 0.03, crossed eyes look less crossed."""
 _OPEN_ABOVE = 0.16
 """Aperture of an eye, as a share of its width, up to which it counts as shut."""
 _CLEAR_ABOVE = 0.2
@@ -155,9 +154,9 @@ def _votes(
 
 
 def _peak(votes: NDArray[np.float32], x: float, y: float, scale: float) -> tuple[float, float]:
-    """Position of the largest vote near `(x, y)`, refined by a parabola along each axis; `(x, y)` if there is none.
+    """Return the position of the largest vote near `(x, y)`, refined by a parabola along each axis.
 
-    `scale` is pixels per outer-eye distance.
+    If there are no votes, it is `(x, y)` itself. `scale` is in pixels per outer-eye distance.
     """
     height, width = votes.shape
     sharp = np.float32(-0.5 / (_REACH * scale) ** 2)

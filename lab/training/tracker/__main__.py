@@ -60,7 +60,7 @@ def _whole(workshop: Workshop, where: tuple[Path, Path, float], processes: int) 
 
 
 def _further(workshop: Workshop, where: tuple[Path, Path, float], options: argparse.Namespace) -> TrackerModel:
-    """The model that ships, with some of its parts trained further, or the experts of the pupils trained anew."""
+    """Return the model that ships, with some parts trained further or the pupils' network trained from scratch."""
     steps: dict[str, list[Photo]] = {}
     if _PUPILS in options.further:
         steps["pupil_part"] = workshop.photos()
@@ -88,9 +88,7 @@ def main() -> None:
     parser.add_argument("--effort", type=_share, default=1.0, help="share of images and training, to try the steps (1)")
     parser.add_argument("--work", type=Path, help="folder of the results (build/model)")
     parser.add_argument("--output", type=Path, help="the model (the one that ships, or the folder of the results)")
-    further = (
-        "train only the networks of these parts further, eye or mouth, or pupils anew, and keep the rest of the model"
-    )
+    further = "train only these: eye and mouth further, pupils from scratch; keep the rest of the model that ships"
     parser.add_argument("--further", nargs="+", choices=(*PARTS, _PUPILS), metavar="PART", help=further)
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="number of processes (one per core)")
     options = parser.parse_args()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from facemime.core.face.names import ACTIONS, N_ACTIONS, action_indices
@@ -18,7 +17,7 @@ from .samples import (
     SCALE,
     SIZE,
     Stack,
-    backdrop,
+    composed,
     degrade,
     occlude,
     personal_expression,
@@ -105,9 +104,7 @@ def action_samples(
         brightness = (0.6, 1.2) if rng.random() < _BRIGHT else (0.35, 0.75)
         scene = Scene(light, rng.uniform(0, 0.12), (0.0, 0.0), brightness, tongue, eyes)
         picture = render(head, skinned, expression, pose, SIZE, scene, rng)
-        behind = backdrop(skinned, picture.landmarks, head, backgrounds[rng.integers(len(backgrounds))].grey(), rng)
-        soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
-        image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
+        image = composed(picture, skinned, head, backgrounds, rng)
         image = crease(image, picture.landmarks, SCALE, dict(zip(head.names, expression, strict=True)), rng)
         if not tongue:  # hair on the lip would cover it
             image = dress(image, picture.landmarks, SCALE, rng)

@@ -23,7 +23,7 @@ from .dress import dress
 from .heads import EYEBALLS, IctHead, sample_expression
 from .organs import Eyes, random_eyes
 from .reproject import Scene, SkinnedHead, render
-from .samples import SCALE, SIZE, Stack, backdrop, degrade, personal_expression, random_light, random_pose, skin_photo
+from .samples import SCALE, SIZE, Stack, composed, degrade, personal_expression, random_light, random_pose, skin_photo
 from .sources import Photo
 
 EYES = 128
@@ -77,9 +77,7 @@ def pupil_samples(
         pose = random_pose(rng)
         scene = Scene(random_light(rng, darkest=0.35, brightest=0.9), rng.uniform(0, 0.12), eyes=eyes)
         picture = render(head, skinned, expression, pose, SIZE, scene, rng)
-        behind = backdrop(skinned, picture.landmarks, head, backgrounds[rng.integers(len(backgrounds))].grey(), rng)
-        soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
-        image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
+        image = composed(picture, skinned, head, backgrounds, rng)
         pupils = _pupils(skinned, pose, scene, eyes)
         if rng.random() < _SHINING:
             image = _reflections(image, pupils, rng)

@@ -18,7 +18,7 @@ from facemime.core.tracking.pdm import PointDistributionModel
 
 from .dress import dress
 from .heads import IctHead, sample_expression, sample_speech
-from .reproject import Light, Scene, SkinnedHead, render, skin_head
+from .reproject import Light, Rendering, Scene, SkinnedHead, render, skin_head
 from .sources import Photo, mirrored
 from .wrinkles import crease
 
@@ -170,6 +170,15 @@ def backdrop(
     return piece[:, ::-1] if rng.random() < 0.5 else np.ascontiguousarray(piece[::-1])
 
 
+def composed(
+    picture: Rendering, skinned: SkinnedHead, head: IctHead, backgrounds: list[Photo], rng: np.random.Generator
+) -> np.ndarray:
+    """Return the image of a rendered head in front of a backdrop, with soft edges."""
+    behind = backdrop(skinned, picture.landmarks, head, backgrounds[rng.integers(len(backgrounds))].grey(), rng)
+    soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
+    return np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
+
+
 def occlude(
     image: np.ndarray, landmarks: np.ndarray, rng: np.random.Generator, size: float = 1.0
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -232,10 +241,7 @@ def render_samples(
         gaze = tuple(rng.normal(0, 0.02 if rng.random() < 0.6 else 0.06, 2) * (1.0, 0.5))
         scene = Scene(light, rng.uniform(0, 0.12), gaze, tongue)
         picture = render(head, skinned, expression, pose, SIZE, scene, rng)
-        other = backgrounds[rng.integers(len(backgrounds))].grey()
-        behind = backdrop(skinned, picture.landmarks, head, other, rng)
-        soft = cv2.GaussianBlur(picture.covered.astype(np.float32), (0, 0), 0.8)
-        image = np.where(picture.covered, picture.image * soft + behind * (1 - soft), behind).astype(np.uint8)
+        image = composed(picture, skinned, head, backgrounds, rng)
         image = crease(image, picture.landmarks, SCALE, dict(zip(head.names, expression, strict=True)), rng)
         image = dress(image, picture.landmarks, SCALE, rng)
         visible = picture.visible
