@@ -31,6 +31,18 @@ def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManage
     return nullcontext() if wanted == context.window else context.temp_override(window=wanted)
 
 
+def evaluated_depsgraph(context: bpy.types.Context) -> bpy.types.Depsgraph:
+    """Return the dependency graph of the view layer, evaluated.
+
+    That of `Context.evaluated_depsgraph_get` belongs to whatever the context belongs to; since Sculpt Mode was entered
+    in Blender 4.3, this is a scene, even if its file was closed, and handing the graph to a function crashes.
+    """
+    context.evaluated_depsgraph_get()
+    graph = context.view_layer.depsgraph
+    assert graph is not None, "it has just been evaluated"
+    return graph
+
+
 def scene_of(obj: bpy.types.Object) -> bpy.types.Scene:
     """Return the scene that has an object, that of the context if it does; raises HeadError if no scene has it."""
     current = bpy.context.scene

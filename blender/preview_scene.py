@@ -14,6 +14,7 @@ from ..core.face.landmarks import outer_eye_distance
 from ..core.face.rotation import fit_rotation
 from ..core.heads.built_in import load_head
 from .characters import objects_of
+from .contexts import evaluated_depsgraph
 from .frames import to_blender
 from .meshes import can_be_driven, mesh_of, read_places
 from .muting import mute_paths
@@ -150,7 +151,7 @@ def _show_in_renders(scene: bpy.types.Scene, head: bpy.types.Object) -> None:
 def face_points(obj: bpy.types.Object) -> NDArray[np.float64]:
     """Return (V, 3) vertices of the mesh `obj` in world space, with its modifiers unless these change their number."""
     with nullcontext() if obj.visible_get() else revealed([obj]):
-        graph = bpy.context.evaluated_depsgraph_get()
+        graph = evaluated_depsgraph(bpy.context)
         shown = obj.evaluated_get(graph)
         mesh = mesh_of(shown) if len(mesh_of(shown).vertices) == len(mesh_of(obj).vertices) else mesh_of(obj)
         flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)

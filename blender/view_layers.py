@@ -12,6 +12,7 @@ from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from .contexts import evaluated_depsgraph
 from .muting import mute_for_now
 
 _GAP = 2.0
@@ -153,7 +154,7 @@ def is_seen_by_camera(context: bpy.types.Context, place: NDArray[np.float64], ra
         return False
     start = camera.matrix_world.translation
     away = (point - start).length - radius
-    return not scene.ray_cast(context.evaluated_depsgraph_get(), start, point - start, distance=away)[0]
+    return not scene.ray_cast(evaluated_depsgraph(context), start, point - start, distance=away)[0]
 
 
 def _box(obj: bpy.types.Object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

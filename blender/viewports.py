@@ -10,6 +10,8 @@ import numpy as np
 from mathutils import Vector
 from numpy.typing import NDArray
 
+from .contexts import evaluated_depsgraph
+
 _HITS = 16
 """Maximum number of surfaces of a character that a line of sight passes through."""
 _OPAQUE = {"TEXTURED", "SOLID"}
@@ -71,7 +73,7 @@ def is_hidden_by_others(
     """Return whether most points (N, 3) of a surface in the world are behind objects other than `own`."""
     towards = seen.view.view_rotation @ Vector((0.0, 0.0, 1.0))
     step = 1e-3 * float(np.ptp(points, axis=0).max())
-    graph = context.evaluated_depsgraph_get()
+    graph = evaluated_depsgraph(context)
     hidden = 0
     for point in points:
         start = Vector(point) + step * towards

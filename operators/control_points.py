@@ -5,6 +5,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import IntProperty, StringProperty
 
+from ..blender.contexts import evaluated_depsgraph
 from ..blender.heads.placing import NEAR, landmark_places, nearest_landmark
 from ..blender.meshes import is_head, mesh_of, read_selection, write_selection
 from ..blender.rigs import read_rig
@@ -179,7 +180,7 @@ class FACEMIME_OT_pick_landmark(OnHead, bpy.types.Operator):
         region, view = seen.region, seen.view
         size = (region.width, region.height)
         places = landmark_places(
-            required_subject(context), context.evaluated_depsgraph_get(), np.array(view.perspective_matrix), size
+            required_subject(context), evaluated_depsgraph(context), np.array(view.perspective_matrix), size
         )
         pixel = (event.mouse_x - region.x, event.mouse_y - region.y)
         landmark = nearest_landmark(places, pixel, NEAR * context.preferences.system.ui_scale)

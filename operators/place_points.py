@@ -9,7 +9,7 @@ import numpy as np
 from bpy.app.translations import pgettext_rpt as _
 from bpy.props import StringProperty
 
-from ..blender.contexts import in_a_window
+from ..blender.contexts import evaluated_depsgraph, in_a_window
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.heads.placing import (
     NEAR,
@@ -156,7 +156,7 @@ class _PlacesPoints(ReportsErrors):
 
 def _vertex_under(context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> int | None:
     pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
-    return skin_under(required_subject(context), context.evaluated_depsgraph_get(), seen, pixel)
+    return skin_under(required_subject(context), evaluated_depsgraph(context), seen, pixel)
 
 
 class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
@@ -190,7 +190,7 @@ class FACEMIME_OT_adjust_landmarks(_PlacesPoints, OnHead, bpy.types.Operator):
 
     def _hover(self, context: bpy.types.Context, event: bpy.types.Event, seen: Viewport) -> None:
         size, view = (seen.region.width, seen.region.height), np.array(seen.view.perspective_matrix)
-        places = landmark_places(required_subject(context), context.evaluated_depsgraph_get(), view, size)
+        places = landmark_places(required_subject(context), evaluated_depsgraph(context), view, size)
         pixel = (event.mouse_x - seen.region.x, event.mouse_y - seen.region.y)
         landmark = nearest_landmark(places, pixel, NEAR / 2 * context.preferences.system.ui_scale)
         if landmark != context.scene.facemime_steps.landmark:

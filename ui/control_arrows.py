@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ..blender.contexts import evaluated_depsgraph
 from ..blender.controls.display import drawn_arrows
 from ..blender.controls.stored import has_controls
 from ..blender.meshes import is_head
@@ -34,7 +35,7 @@ def _draw_controls() -> None:
     if seen is None or not shows_overlays(context) or context.mode == "EDIT_MESH" or not has_controls(head):
         return
     region, view = seen.region, np.array(seen.view.perspective_matrix)
-    graph, size = context.evaluated_depsgraph_get(), (region.width, region.height)
+    graph, size = evaluated_depsgraph(context), (region.width, region.height)
     arrows = drawn_arrows(head, graph, view, size, every=shown == "ALL")
     if arrows is not None:
         scale = context.preferences.system.ui_scale

@@ -16,6 +16,7 @@ from bpy_extras import view3d_utils
 from mathutils import Matrix, Vector
 from numpy.typing import NDArray
 
+from ..blender.contexts import evaluated_depsgraph
 from ..blender.heads.binding import read_marks
 from ..blender.heads.placing import Placing, landmark_places, place_of_mark
 from ..blender.meshes import is_head, mesh_of, object_of, read_regions
@@ -103,7 +104,7 @@ def _draw_regions() -> None:
     seen = viewport_drawn(context)
     if obj is None or seen is None or not shows_overlays(context):
         return
-    evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
+    evaluated = obj.evaluated_get(evaluated_depsgraph(context))
     try:
         _refresh(evaluated, context.scene.facemime_steps.regions_opacity)
     except HeadError:  # the panels Head and Regions show what is missing
@@ -180,7 +181,7 @@ def _draw_landmarks() -> None:
     region, view = seen.region, np.array(seen.view.perspective_matrix)
     try:
         rows = shown_rows(obj)
-        places = landmark_places(obj, context.evaluated_depsgraph_get(), view, (region.width, region.height))
+        places = landmark_places(obj, evaluated_depsgraph(context), view, (region.width, region.height))
     except FacemimeError:  # the panels show what is wrong with the head or its control points
         return
     scale = context.preferences.system.ui_scale
@@ -253,7 +254,7 @@ def _draw_marks(context: bpy.types.Context, seen: Viewport, placing: Placing, sc
 def _pixel(
     context: bpy.types.Context, seen: Viewport, obj: bpy.types.Object, vertex: int
 ) -> NDArray[np.float64] | None:
-    evaluated = obj.evaluated_get(context.evaluated_depsgraph_get())
+    evaluated = obj.evaluated_get(evaluated_depsgraph(context))
     if vertex >= len(mesh_of(evaluated).vertices):
         return None
     place = evaluated.matrix_world @ mesh_of(evaluated).vertices[vertex].co

@@ -26,6 +26,7 @@ from ...core.takes.moving_mesh import anchors_of
 from ...core.takes.neutral import calibrate
 from ...core.takes.take import Take, TakeRecorder
 from ..characters import objects_of, read_kinds, rest_matrix
+from ..contexts import evaluated_depsgraph
 from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import exists, eye_vertices, key_names, keys_of, mesh_of, read_landmarks, read_regions, read_vertices
 from ..names import PART_PROPERTY
@@ -166,7 +167,7 @@ class Sampling:
         if tracker is None:
             tracker = self._tracker = PointTracker(self._face.rest(), self._face.pivot, self._face.trust)
         points = self._face.current()
-        self._keys.read(bpy.context.evaluated_depsgraph_get())
+        self._keys.read(evaluated_depsgraph(bpy.context))
         self._moves |= bool(np.abs(points.landmarks - tracker.rest.landmarks).max() > _LEAST_MOTION * tracker.unit)
         self._recorder.append(time, tracker.track(points))
 
@@ -199,7 +200,7 @@ class _Face:
 
     def current(self) -> FacePoints:
         """Return the positions in the current frame; raises HeadError if a mesh then has another number of vertices."""
-        depsgraph = bpy.context.evaluated_depsgraph_get()
+        depsgraph = evaluated_depsgraph(bpy.context)
         return self._points(lambda obj: _evaluated(obj, depsgraph))
 
     def _points(self, read: Callable[[bpy.types.Object], tuple[FloatArray, FloatArray]]) -> FacePoints:

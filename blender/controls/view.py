@@ -14,6 +14,7 @@ from ...core.heads.rig import HeadRig, Part
 from ...core.heads.symmetry import face_images, symmetry_of
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..characters import members_of, objects_of, read_bones
+from ..contexts import evaluated_depsgraph
 from ..frames import from_blender
 from ..meshes import mesh_of, posed_bones, rest_bones
 from ..names import PART_PROPERTY
@@ -87,7 +88,7 @@ class PosedFace:
     def look(self) -> Seen:
         """Evaluate the rig, and return what is seen."""
         bpy.context.view_layer.update()
-        graph = bpy.context.evaluated_depsgraph_get()
+        graph = evaluated_depsgraph(bpy.context)
         posed = _pose_of_head(self.head, graph)
         points = _points(self.head, graph)
         if len(points) != self._count:
@@ -118,7 +119,7 @@ def look_at(head: bpy.types.Object, sample: IntArray) -> FloatArray | None:
     None if there are fewer.
     """
     bpy.context.view_layer.update()
-    graph = bpy.context.evaluated_depsgraph_get()
+    graph = evaluated_depsgraph(bpy.context)
     points = _points(head, graph)
     if len(points) < len(mesh_of(head).vertices):
         return None
@@ -128,7 +129,7 @@ def look_at(head: bpy.types.Object, sample: IntArray) -> FloatArray | None:
 def seen_vertices(head: bpy.types.Object) -> NDArray[np.float32] | None:
     """Evaluate the rig, and return all vertices of a head, (A, 3), as `look_at` does."""
     bpy.context.view_layer.update()
-    graph, found = bpy.context.evaluated_depsgraph_get(), []
+    graph, found = evaluated_depsgraph(bpy.context), []
     back = _pose_of_head(head, graph).inverted_safe() @ head.matrix_world.inverted_safe()
     for member in members_of(head):
         points = _points(member.obj, graph)

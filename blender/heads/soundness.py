@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
+from ..contexts import evaluated_depsgraph
 from ..frames import to_blender
 from ..meshes import keys_of, mesh_of, read_faces, read_vertices
 from .family import family_of
@@ -55,7 +56,7 @@ def require_sound(obj: bpy.types.Object) -> None:
 def generating_modifiers(obj: bpy.types.Object) -> list[str]:
     """Return the names of the modifiers that may add a face to what is in the mesh `obj`."""
     names = [modifier.name for modifier in _shown_modifiers(obj) if modifier.type not in _HARMLESS]
-    final = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()) if names else obj
+    final = obj.evaluated_get(evaluated_depsgraph(bpy.context)) if names else obj
     return names if names and len(mesh_of(final).vertices) != len(mesh_of(obj).vertices) else []
 
 

@@ -127,6 +127,15 @@ def test_the_asset_shelf_of_sculpting_does_not_cover_the_preview(blender, sideba
     stop(sidebar)
 
 
+def test_the_scene_is_evaluated_after_sculpting_in_a_file_that_was_closed(blender, sidebar):
+    """Blender 4.3 then hands out a dependency graph of the scene that was sculpted in, which was freed."""
+    add_head(sidebar)
+    blender.do("bpy.ops.object.mode_set(mode='SCULPT')")
+    blender.redraw()
+    blender.do("bpy.ops.wm.read_homefile(use_factory_startup=False)")
+    assert blender.get("evaluated_depsgraph(bpy.context).id_data == bpy.context.scene")
+
+
 _SHELF = """
 area = max((a for a in bpy.context.window.screen.areas if a.type == "VIEW_3D"), key=lambda a: a.width)
 if hasattr(area.spaces.active, "show_region_asset_shelf"):

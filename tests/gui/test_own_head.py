@@ -74,7 +74,7 @@ def test_regions_are_shown_edited_and_checked_by_clicks(blender, sidebar):
 ALONE = """sorted(
     obj.name for obj in bpy.context.view_layer.objects for area in bpy.context.window.screen.areas
     if area.type == "VIEW_3D" and area.spaces.active.local_view is not None
-    and obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).local_view_get(area.spaces.active)
+    and obj.evaluated_get(bpy.context.view_layer.depsgraph).local_view_get(area.spaces.active)
 )"""
 """The objects in the Local View of the viewport; Blender 4.3 gives it for evaluated objects only."""
 

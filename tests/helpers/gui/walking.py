@@ -18,9 +18,10 @@ import numpy as np
 package = sys.modules[{MODULE!r}]
 from {MODULE}.sessions.session import Session
 from {MODULE}.core.face.landmarks import from_ibug
+from {MODULE}.blender.contexts import evaluated_depsgraph
 from {MODULE}.blender.meshes import read_landmarks, read_regions, read_selection
 def shown(obj):
-    mesh = obj.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
+    mesh = obj.evaluated_get(evaluated_depsgraph(bpy.context)).data
     flat = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", flat)
     return flat.reshape(-1, 3)
