@@ -7,7 +7,7 @@ properties of the head.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -191,10 +191,17 @@ def read_parts(head: bpy.types.Object) -> FaceParts | None:
 
 def part_mesh(head: bpy.types.Object, part: Part) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Return the vertices of a part of a face in the head frame, (N, 3), and the faces between them, (F, K)."""
+    return mesh_within(head, lambda obj: read_kinds(mesh_of(obj)) == part)
+
+
+def mesh_within(
+    head: bpy.types.Object, chosen: Callable[[bpy.types.Object], NDArray[np.bool_]]
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the vertices that are `chosen` of each mesh of a character, (V,), as `part_mesh` does."""
     to_head = rest_matrix(head).inverted_safe()
     vertices, faces, start = [np.empty((0, 3))], [np.empty((0, 3), dtype=np.int32)], 0
     for obj in (head, *objects_of(head)):
-        within = read_kinds(mesh_of(obj)) == part
+        within = chosen(obj)
         if not within.any():
             continue
         move = np.array(to_head @ rest_matrix(obj))

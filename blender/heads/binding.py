@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError, Message
 from ...core.face.landmarks import from_ibug
 from ...core.heads.bind import Binding, bind_landmarks
+from ...core.heads.brows import place_on_brows
 from ...core.heads.checks import Finding, check_head
 from ...core.heads.eyeballs import EYES
 from ...core.heads.portrait import Paint, lids_seen
@@ -48,7 +49,7 @@ from ..names import (
 from ..paint import read_paint
 from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, require_character
-from .parts import current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
+from .parts import brow_mesh, current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
 from .soundness import generating_modifiers, require_sound, stray_vertices
 
 _MAX_CANDIDATES = 3
@@ -140,6 +141,7 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
             turn_mesh(obj, turn.T)
         raise
     landmarks = _with_lids(obj, landmarks, binding.rotation, marks)
+    landmarks = _with_brows(obj, landmarks, binding.rotation)
     write_landmarks(mesh, landmarks)
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]
@@ -190,6 +192,18 @@ def _with_lids(
         if found is not None and not np.isin(skin.kept[found], np.delete(improved, lids)).any():
             improved[lids] = skin.kept[found]
     return improved
+
+
+def _with_brows(head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
+    """Return the landmarks, with those of each brow moved to it if it is a piece of its own and they lie beside it."""
+    brows, faces = brow_mesh(head)
+    skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
+    if len(faces) == 0 or (skin.number[landmarks] < 0).any():
+        return np.array(landmarks, dtype=np.intp)
+    places = read_vertices(mesh_of(head))[skin.kept] @ rotation.T
+    found = place_on_brows(places, skin.faces, skin.number[landmarks], brows @ rotation.T, faces)
+    kept = found == skin.number[landmarks]
+    return np.where(kept, landmarks, skin.kept[found])
 
 
 def propose_head_regions(obj: bpy.types.Object) -> None:

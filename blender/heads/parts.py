@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -12,13 +12,22 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.face.landmarks import JAW, NOSE, outer_eye_distance
-from ...core.heads.part_names import FaceBones, find_bones, named_part, names_body
+from ...core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_brow
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.surface import NearestPoints, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..characters import objects_of, parts_of, read_bones, read_kinds, rest_matrix, write_bones, write_kinds
+from ..characters import (
+    mesh_within,
+    objects_of,
+    parts_of,
+    read_bones,
+    read_kinds,
+    rest_matrix,
+    write_bones,
+    write_kinds,
+)
 from ..eye_bones import aim_of, looks_only, turned_by
 from ..frames import from_blender, to_blender
 from ..meshes import (
@@ -60,13 +69,19 @@ class _Pieces:
 
 def named_others(obj: bpy.types.Object) -> NDArray[np.bool_]:
     """Return (V,) whether the name of a vertex's material rules out skin, before landmarks are known."""
-    faces = read_faces(mesh_of(obj))
-    materials = material_names(obj)
-    others = np.array([named_part([name]) is not None for name in materials] or [False])
-    kinds = np.zeros(len(mesh_of(obj).vertices), dtype=bool)
-    chosen = others[np.minimum(_material_numbers(mesh_of(obj)), len(others) - 1)]
-    kinds[np.unique(faces[chosen][faces[chosen] >= 0])] = True
+    kinds = _of_materials(obj, lambda name: named_part([name]) is not None)
     return kinds if not kinds.all() else np.zeros_like(kinds)
+
+
+def brow_mesh(head: bpy.types.Object) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Return the vertices and faces of pieces that are named after the brows, as `part_mesh` does."""
+
+    def named(obj: bpy.types.Object) -> NDArray[np.bool_]:
+        on_skin = read_kinds(mesh_of(obj)) == Part.ON_SKIN
+        chosen = on_skin if names_brow(obj.name) else on_skin & _of_materials(obj, names_brow)
+        return np.asarray(chosen)
+
+    return mesh_within(head, named)
 
 
 def skin_of_object(obj: bpy.types.Object, others: NDArray[np.bool_], landmarks: IntArray | None = None) -> Skin:
@@ -291,6 +306,15 @@ def _material_numbers(mesh: bpy.types.Mesh) -> NDArray[np.int32]:
     numbers = np.zeros(len(mesh.polygons), dtype=np.int32)
     mesh.polygons.foreach_get("material_index", numbers)
     return numbers
+
+
+def _of_materials(obj: bpy.types.Object, wanted: Callable[[str], bool]) -> NDArray[np.bool_]:
+    """Return (V,) whether a vertex is of a face with a material whose name is `wanted`."""
+    faces, kinds = read_faces(mesh_of(obj)), np.zeros(len(mesh_of(obj).vertices), dtype=bool)
+    materials = np.array([wanted(name) for name in material_names(obj)] or [False])
+    chosen = materials[np.minimum(_material_numbers(mesh_of(obj)), len(materials) - 1)]
+    kinds[np.unique(faces[chosen][faces[chosen] >= 0])] = True
+    return kinds
 
 
 def _material_of_pieces(obj: bpy.types.Object, faces: IntArray, number: IntArray) -> list[str]:

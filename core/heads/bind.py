@@ -227,7 +227,7 @@ def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint
     surface, (unit, rotation, _), bent, picked = fitted.view.surface, fitted.pose, fitted.bent, dict(fitted.marks)
     # Vertices nearest to the bent landmarks; marked points override them.
     sight = fitted.sight
-    landmarks = _nearest(template, surface, bent, _MAX_DISTANCE * unit, sight is not None)
+    landmarks = _nearest(template, surface, (bent, rotation), _MAX_DISTANCE * unit, sight is not None)
     graph = SurfaceGraph(surface.places, surface.faces)
     # 4. Move landmarks to the rims of openings, and inner lips to their own side.
     landmarks = _onto_rims(
@@ -265,16 +265,20 @@ def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
     return tuple(sorted(ordered[:MIN_MARKS]))
 
 
-def _nearest(template: Template, surface: Surface, bent: FloatArray, reach: float, seen: bool) -> NDArray[np.intp]:
-    """Find the vertices nearest to the landmarks of the bent template, (66,).
+def _nearest(
+    template: Template, surface: Surface, posed: tuple[FloatArray, FloatArray], reach: float, seen: bool
+) -> NDArray[np.intp]:
+    """Find the vertices nearest to the landmarks of the template, (66,), of which `posed` are the bent vertices and the
+    rotation.
 
     If landmarks were seen, so that they are about right, these are nearest in space among those that face roughly the
     same way; otherwise nearest by position and normal together. If there is none within `reach` at a lid or lip, the
     orientation of the surrounding skin is used: on a mesh without rims, the normal of a rim would lead to the underside
     of something.
     """
+    bent, rotation = posed
     wanted = bent[template.landmarks]
-    own, around = template.landmark_normals(bent)
+    own, around = template.landmark_normals(bent, rotation)
     found = surface.nearest(wanted, own)
     if seen:
         close, distance = surface.close_by(wanted)

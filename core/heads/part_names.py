@@ -46,6 +46,9 @@ _ON_SKIN = _words(
     r"(?:inner_)?mouth_(?:wall|bag|cavity|sock|socket|inside|interior|inner)",
     r"face_(?:hair|fuzz)|facial_hair|peach_fuzz",
 )
+_BROW = _words(rf"(?:face_)?(?:{_EYE})?brow(?:e?s)?(?:_(?:card|line|hair|fur)s?)?")
+_LASH = re.compile(r"lash|睫|まつ")
+_NATIVE_BROW = re.compile(r"眉")
 _TONGUE = _words(r"tongue")
 _TEETH = _words(r"teeth", r"tooth", r"gums?", r"dent(?:al|ure|ition)", r"incisor", r"molar", r"fang", r"canine_teeth")
 _ON_HEAD = _words(
@@ -130,6 +133,11 @@ def parts_in(name: str) -> list[Part]:
         if count and part is not None:
             found.append(part)
     return list(dict.fromkeys(found))
+
+
+def names_brow(name: str) -> bool:
+    """Return whether a name is that of the brows alone."""
+    return bool(_BROW.search(spaced(name)) or _NATIVE_BROW.search(name)) and not _LASH.search(spaced(name) + name)
 
 
 def names_upper(names: Sequence[str]) -> bool:

@@ -73,9 +73,15 @@ class Template:
         assert sight is not None
         return sight.points
 
-    def landmark_normals(self, bent: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return (66, 3) normals of the landmarks on the bent vertices, and the same averaged around lids and lips."""
-        normals = surface_normals(bent, self.faces)
+    def landmark_normals(self, bent: FloatArray, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return (66, 3) normals of the landmarks on the bent vertices, and the same averaged around lids and lips.
+
+        Where a warp has folded the template over, its normals are those of the template in its pose, of which
+        `rotation` is a part.
+        """
+        normals, posed = surface_normals(bent, self.faces), self.normals @ rotation.T
+        folded = np.einsum("vd,vd->v", normals, posed) < 0.0
+        normals[folded] = posed[folded]
         own = normals[self.landmarks]
         around = own.copy()
         for part, _ in _EXCLUDED:
