@@ -62,7 +62,7 @@ class TrackResult:
         Certainty of each landmark, 0 to 1. It is low if the landmark is covered or turned away, so that its position is
         estimated by the shape model. NaN if unknown.
     pupils : (2, 2) float64
-        Centres of the performer's right and left pupil in pixels; NaN for a shut eye.
+        Centres of the performer's right and left pupil in pixels; NaN for an eye that is shut or hidden by the nose.
     gaze : (2,) float64
         `(pitch, yaw)` in radians: direction of both eyes relative to the head, with the signs of the pose. They look
         along ``Ry(yaw) Rx(pitch) (0, 0, -1)`` in the head frame: (0, 0) is straight ahead, positive pitch down,

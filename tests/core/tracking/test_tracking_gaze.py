@@ -131,6 +131,15 @@ def test_a_shut_eye_has_no_pupil_and_the_other_gives_the_gaze(experts, shape):
     np.testing.assert_allclose(found.direction, (0.0, 0.2), atol=0.12)
 
 
+@pytest.mark.parametrize("yaw", [1.15, -1.15])
+def test_an_eye_behind_the_nose_has_no_pupil_and_the_other_gives_the_gaze(experts, shape, yaw):
+    pose, gaze = pose_of(200, 0.0, yaw), (0.0, -0.5 * np.sign(yaw))
+    found = find_gaze(experts, drawn(shape, pose, gaze), pose, project(shape, pose), shape)
+    hidden = int(yaw < 0.0)  # a head that turns to the viewer's left hides its right eye
+    assert np.isnan(found.pupils[hidden]).all() and np.isfinite(found.pupils[1 - hidden]).all()
+    np.testing.assert_allclose(found.direction, gaze, atol=0.2)
+
+
 def test_with_both_eyes_shut_there_is_no_gaze(experts, shape):
     pose = pose_of(150)
     asleep = shape.copy()
