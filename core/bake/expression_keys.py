@@ -166,6 +166,7 @@ class _Maker:
     ) -> NDArray[np.float32]:
         """Correct `motion` so that lids and lips meet, on a face that is already displaced by `before`."""
         landmarks, parted = self._skin.landmarks, np.zeros(len(UPPER_LIDS))
+        best, least = motion, np.inf
         for _ in range(1 if np.isnan(self._source.shares[row]).all() else _CONTACTS):
             for _ in range(_STEPS):
                 moved = (before + motion)[landmarks]
@@ -181,7 +182,9 @@ class _Maker:
             # What contact has parted meets again if the lids are asked to overlap by as much.
             left = self._lacking(row, (before + motion)[landmarks])
             parted += np.where(left > _PARTED * lid_gaps(self._points), left, 0.0)
-        return motion
+            if left.max() < least:
+                best, least = motion, float(left.max())
+        return best
 
     def _lids(self, row: int, moved: FloatArray, parted: FloatArray) -> FloatArray:
         """Displacements (66, 3) that lids lack to open or close by the same share as those of the built-in head.
