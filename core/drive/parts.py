@@ -12,6 +12,7 @@ from ..heads.tongues import tongue_of, tongue_out
 from ..mesh.surface import NearestPoints, SurfaceGraph, islands
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
+from .gums import Gums
 
 _NEIGHBOURS = 10
 _BREADTH = 0.02
@@ -177,6 +178,7 @@ class PartDriver:
         if self._tongue.any():
             self._out[self._tongue[self._teeth]] = tongue_out(rig, self._tongue)
         self._hinge = np.asarray(rig.jaw_pivot, dtype=np.float32)
+        self._gums = Gums(rig, deformed)
         self._riding = np.flatnonzero(kinds == Part.ON_SKIN)
         self._glue = self._glued(rig, deformed) if len(self._riding) else None
         self._at, self._from, self._riders = (_span(rows) for rows in (self._skin_rows, self._copies, self._riding))
@@ -227,6 +229,7 @@ class PartDriver:
         if tongue:
             teeth += np.float32(tongue) * self._out
         out[self._teeth] = _turned(teeth, self._hinge, jaw)
+        self._gums.hold(out, skin)
         if self._glue is not None:
             out[self._riders] = self._glue.move(skin - self._skin_rest)
         if planar:

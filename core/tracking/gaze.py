@@ -37,9 +37,9 @@ _OPEN_ABOVE = 0.16
 _CLEAR_ABOVE = 0.2
 """Aperture of an eye, as a share of its width, above which its pupil is seen well enough to detect crossed eyes."""
 _TURNED_AWAY = 0.4
-"""Ratio of the distance of an eye's corners in the image to their true one, below which the eye counts as hidden by the
-nose. On half A of the strangers' clips, the far eye and the near one look 83 degrees apart (median) where it is less, and
-14 where it is more."""
+"""Ratio of the distance of an eye's corners in the image to their true one, below which the nose hides the eye. On half
+A of the strangers' clips, the far eye and the near one look 83 degrees apart (median) where it is less, and 14 where it
+is more."""
 _FRONTAL_BELOW = 0.4
 """Yaw of the head and of the gaze, in radians, below which both pupils are seen well enough for that."""
 _BALL = np.array([0.0, -0.02, 0.075])

@@ -1,0 +1,77 @@
+"""Lower gums stay behind the skin that covers them (method.md, section 5.10).
+
+A smile draws lips back. The lower gums of many avatars are so close behind the skin that they would come out below the
+lip. The upper lip rises at the same time, and uncovers its teeth.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..face.landmarks import LOWER_LIPS, MOUTH_CORNERS
+from ..heads.rig import HeadRig, Part
+from ..mesh.surface import triangulate
+from ..numeric.arrays import FloatArray, IntArray
+
+_BEYOND = 0.04
+"""Distance below the inner edge of the lip, in outer-eye distances, beyond which skin covers gums. The edges of teeth,
+which are nearer, stay in their row."""
+_APART = 0.06
+"""Distance behind the skin that is kept, unless they are closer at rest."""
+_DEEPEST = 0.2
+"""Distance behind it beyond which they cannot come out."""
+
+
+class Gums:
+    """Keeps lower gums behind the skin before them, for a rig of a head and that of its `skin` alone."""
+
+    def __init__(self, rig: HeadRig, skin: HeadRig) -> None:
+        landmarks = np.asarray(skin.vertices, dtype=np.float64)[skin.landmarks]
+        places, unit = rig.all_vertices.astype(np.float64), rig.eye_distance
+        rim = landmarks[[MOUTH_CORNERS[0], *LOWER_LIPS, MOUTH_CORNERS[1]]]
+        rows = np.flatnonzero(rig.kinds == Part.TEETH_LOWER)
+        rows = rows[places[rows, 1] - np.interp(places[rows, 0], rim[:, 0], rim[:, 1]) > _BEYOND * unit]
+        triangles = np.empty((0, 3), dtype=np.intp) if skin.faces is None else triangulate(skin.faces)
+        corners, weights, room = _covers(places[rows], np.asarray(skin.vertices, dtype=np.float64), triangles)
+        near = room < _DEEPEST * unit
+        self._rows, self._corners = rows[near], corners[near]
+        self._weights = weights[near].astype(np.float32)
+        self._apart = np.minimum(room[near], _APART * unit).astype(np.float32)
+
+    def hold(self, out: NDArray[np.float32], skin: NDArray[np.float32]) -> None:
+        """Move gums among the vertices of a head (A, 3) back behind its skin (U, 3), in place."""
+        before = np.einsum("gk,gk->g", self._weights, skin[:, 2][self._corners])
+        out[self._rows, 2] = np.maximum(out[self._rows, 2], before + self._apart)
+
+
+def _covers(
+    points: FloatArray, vertices: FloatArray, triangles: IntArray
+) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
+    """Find the skin that covers points (N, 3), seen from the front.
+
+    Returns the corners (N, 3) of the foremost triangle before each point, as walls of the mouth may lie between, their
+    weights (N, 3), and the distances (N,), which are infinite where there is none.
+    """
+    corners = np.zeros((len(points), 3), dtype=np.intp)
+    weights, room = np.zeros((len(points), 3)), np.full(len(points), np.inf)
+    if not len(points):
+        return corners, weights, room
+    flat = vertices[triangles][:, :, :2]
+    low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
+    triangles = triangles[(flat.max(axis=1) >= low).all(axis=1) & (flat.min(axis=1) <= high).all(axis=1)]
+    origin = vertices[triangles[:, 0]]
+    first, second = (vertices[triangles[:, k]] - origin for k in (1, 2))
+    area = first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0]
+    area = np.where(area == 0.0, np.nan, area)
+    for row, point in enumerate(points):
+        off = point - origin
+        u = (off[:, 0] * second[:, 1] - off[:, 1] * second[:, 0]) / area
+        v = (first[:, 0] * off[:, 1] - first[:, 1] * off[:, 0]) / area
+        before = off[:, 2] - u * first[:, 2] - v * second[:, 2]
+        found = np.flatnonzero((u >= 0.0) & (v >= 0.0) & (u + v <= 1.0) & (before > 0.0))
+        if len(found):
+            best = found[np.argmax(before[found])]
+            corners[row], room[row] = triangles[best], before[best]
+            weights[row] = 1.0 - u[best] - v[best], u[best], v[best]
+    return corners, weights, room
