@@ -1,7 +1,7 @@
-"""Lower gums stay behind the skin that covers them (method.md, section 5.10).
+"""Lower teeth and gums stay behind the skin that covers them (method.md, section 5.10).
 
-A smile draws lips back. The lower gums of many avatars are so close behind the skin that they would come out below the
-lip. The upper lip rises at the same time, and uncovers its teeth.
+A smile draws lips back. The lower teeth and gums of many avatars are so close behind the skin that they would come out
+below the lip. The upper lip rises at the same time, and uncovers its teeth.
 """
 
 from __future__ import annotations
@@ -14,24 +14,21 @@ from ..heads.rig import HeadRig, Part
 from ..mesh.surface import triangulate
 from ..numeric.arrays import FloatArray, IntArray
 
-_BEYOND = 0.04
-"""Distance below the inner edge of the lip, in outer-eye distances, beyond which skin covers gums. The edges of teeth,
-which are nearer, stay in their row."""
 _APART = 0.06
-"""Distance behind the skin that is kept, unless they are closer at rest."""
+"""Distance behind the skin, in outer-eye distances, that is kept unless they are closer at rest."""
 _DEEPEST = 0.2
 """Distance behind it beyond which they cannot come out."""
 
 
 class Gums:
-    """Keeps lower gums behind the skin before them, for a rig of a head and that of its `skin` alone."""
+    """Keeps lower teeth and gums behind the skin before them, for a rig of a head and that of its `skin` alone."""
 
     def __init__(self, rig: HeadRig, skin: HeadRig) -> None:
         landmarks = np.asarray(skin.vertices, dtype=np.float64)[skin.landmarks]
         places, unit = rig.all_vertices.astype(np.float64), rig.eye_distance
         rim = landmarks[[MOUTH_CORNERS[0], *LOWER_LIPS, MOUTH_CORNERS[1]]]
         rows = np.flatnonzero(rig.kinds == Part.TEETH_LOWER)
-        rows = rows[places[rows, 1] - np.interp(places[rows, 0], rim[:, 0], rim[:, 1]) > _BEYOND * unit]
+        rows = rows[places[rows, 1] - np.interp(places[rows, 0], rim[:, 0], rim[:, 1]) > 0.0]
         triangles = np.empty((0, 3), dtype=np.intp) if skin.faces is None else triangulate(skin.faces)
         corners, weights, room = _covers(places[rows], np.asarray(skin.vertices, dtype=np.float64), triangles)
         near = room < _DEEPEST * unit

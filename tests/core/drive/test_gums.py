@@ -1,4 +1,4 @@
-"""Lower gums stay behind the skin when the lip is drawn back."""
+"""Lower teeth and gums stay behind the skin when the lip is drawn back."""
 
 from dataclasses import replace
 
@@ -15,12 +15,12 @@ STRAIGHT = np.tile(np.eye(3), (2, 1, 1))
 
 
 def with_gums(room: float) -> HeadRig:
-    """The built-in head with a plate of lower teeth and gums, from the edge of the lip to below it, behind the lip."""
+    """The built-in head with a plate of lower teeth and gums behind the lips, from above to below the lower one."""
     rig = built_in_head()
     top = POINTS[LOWER_LIPS].mean(axis=0)
     chin = POINTS[from_ibug([8])[0]]
     x = top[0] + UNIT * np.linspace(-0.12, 0.12, COLUMNS)
-    y = np.linspace(top[1], top[1] + 0.6 * (chin[1] - top[1]), ROWS)
+    y = np.linspace(top[1] - 0.06 * UNIT, top[1] + 0.6 * (chin[1] - top[1]), ROWS)
     plate = np.stack([*np.meshgrid(x, y), np.full((ROWS, COLUMNS), top[2] + room * UNIT)], axis=-1).reshape(-1, 3)
     first = len(rig.vertices) + np.array([r * COLUMNS + c for r in range(ROWS - 1) for c in range(COLUMNS - 1)])
     faces = first[:, None] + np.array([0, 1, COLUMNS + 1, COLUMNS])
@@ -46,7 +46,7 @@ def test_gums_behind_a_lip_that_is_drawn_back_move_back_with_it():
     np.testing.assert_array_equal(back[:, :, :2], 0.0)
 
 
-def test_the_edge_of_the_teeth_stays_in_its_row():
+def test_teeth_behind_the_upper_lip_stay():
     rest, moved = teeth_of(with_gums(0.12), 0.15)
     np.testing.assert_array_equal(moved[0], rest[0])
 
