@@ -123,8 +123,9 @@ def _image_nodes(obj: bpy.types.Object) -> list[bpy.types.ShaderNodeTexImage]:
 def prepare_facegen(head: bpy.types.Object) -> bool:
     """Cut the lids of a bound head free of its painted eyes, and put eyeballs that turn behind them.
 
-    Returns whether the eyes were painted.
+    A mouth without a texture is coloured by its parts. Returns whether the eyes were painted.
     """
+    _colour_mouth(head)
     if not any(finding.step == "open_eyes" for finding in check_object(head)):
         return False
     open_eyes(head)
@@ -134,13 +135,14 @@ def prepare_facegen(head: bpy.types.Object) -> bool:
 
 
 def refine_jane(head: bpy.types.Object) -> None:
-    """Change what shows in Jane's file: make-up of the lids, by which her face is found but which would be black when
-    they shut, and a mouth that the tongue fills and whose wall is as bright. Other heads stay as they are.
+    """Change what shows in Jane's file, wherever it lies: make-up of the lids, by which her face is found but which
+    would be black when they shut, and a mouth that the tongue fills and whose wall is as bright. Other heads stay as
+    they are.
     """
     painted = [
         node
         for node in _image_nodes(head)
-        if node.image is not None and Path(bpy.path.abspath(node.image.filepath)) == _MADE_UP
+        if node.image is not None and _is_copy(Path(bpy.path.abspath(node.image.filepath)), _MADE_UP)
     ]
     if not painted:
         return
@@ -148,6 +150,34 @@ def refine_jane(head: bpy.types.Object) -> None:
         node.image = bpy.data.images.load(str(_MADE_UP.with_name("Skin.jpg")), check_existing=True)
     if is_head(head):
         _open_up_mouth(head)
+
+
+def _is_copy(path: Path, of: Path) -> bool:
+    """Return whether a file equals another one."""
+    try:
+        return path == of or (path.stat().st_size == of.stat().st_size and path.read_bytes() == of.read_bytes())
+    except OSError:  # an image that is packed, or gone
+        return False
+
+
+def _colour_mouth(head: bpy.types.Object) -> None:
+    """Colour teeth, tongue and wall of a mouth that is one mesh without a texture, as they would all be dark red."""
+    rig = read_rig(head)
+    tongues, start = tongue_of(rig), len(rig.vertices)
+    for member in members_of(head)[1:]:
+        mesh = mesh_of(member.obj)
+        kinds, tongue = read_kinds(mesh), tongues[start : start + len(mesh.vertices)]
+        start += len(mesh.vertices)
+        (name, *others) = [material.name if material else "" for material in mesh.materials] or [""]
+        if others or not names_inside(name) or mesh.materials[0] is None or colour_node(mesh.materials[0]) is not None:
+            continue
+        looks = dict(_LOOKS)
+        mesh.materials.append(plain_material(f"{name} Teeth", *looks["teeth"]))
+        mesh.materials.append(plain_material(f"{name} Tongue", *looks["tongue"]))
+        teeth = np.isin(kinds, (Part.TEETH_UPPER, Part.TEETH_LOWER))
+        for polygon in mesh.polygons:
+            first = polygon.vertices[0]
+            polygon.material_index = 2 if tongue[first] else int(teeth[first])
 
 
 def _open_up_mouth(head: bpy.types.Object) -> None:
@@ -239,10 +269,16 @@ def _material(path: Path, *, textured: bool) -> bpy.types.Material:
     words = spaced(path.stem)
     look = next((look for word, look in _LOOKS if word in words), _SKIN)
     material = plain_material(path.stem, *look)
-    image = _beside(path, _IMAGES) if textured else None
+    image = _texture(path) if textured else None
     if image is not None:
         show_image(material, bpy.data.images.load(str(image), check_existing=True))
     return material
+
+
+def _texture(path: Path) -> Path | None:
+    """Return the texture beside the file of a mesh, or ours for a copy of a file of Jane's."""
+    ours = _JANE.with_name(path.name)
+    return _beside(path, _IMAGES) or (_beside(ours, _IMAGES) if _is_copy(path, ours) else None)
 
 
 def _distinct(morphs: Sequence[tuple[str, NDArray[np.float32]]]) -> list[tuple[str, NDArray[np.float32]]]:

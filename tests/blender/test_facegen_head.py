@@ -9,7 +9,7 @@ import pytest
 
 from facemime.blender.characters import part_table, read_kinds
 from facemime.blender.heads.binding import bind_head, check_object
-from facemime.blender.heads.facegen import add_facegen, import_facegen, parts_beside
+from facemime.blender.heads.facegen import add_facegen, import_facegen, parts_beside, prepare_facegen
 from facemime.blender.heads.materials import mouth_material
 from facemime.blender.meshes import key_points, read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
@@ -129,9 +129,46 @@ def test_parts_and_texture_beside_a_head_are_imported_with_it(tmp_path):
         obj.name: any(node.type == "TEX_IMAGE" for node in obj.data.materials[0].node_tree.nodes)
         for obj in (head, *head.children)
     }
-    assert images == {"Jane": True, "Mouth": True, "Hair": False}
+    assert images == {"Jane": True, "Mouth": True, "Hair": True}, "that of Jane's hair ships with the extension"
     names = [key.name for key in head.data.shape_keys.key_blocks]
     assert len(names) == 82 and not any(name.endswith(".001") for name in names)
+
+
+def test_a_mouth_without_a_texture_has_light_teeth_and_a_dark_wall(tmp_path):
+    for name, of in (("Head.tri", "Jane.tri"), ("Head.jpg", "Jane.jpg"), ("Inner Mouth.tri", "Mouth.tri")):
+        shutil.copy(FOLDER / of, tmp_path / name)
+    (tmp_path / "Head.jpg").write_bytes((FOLDER / "Jane.jpg").read_bytes() + b"\0")  # so that it is not Jane's
+    objects = import_facegen(bpy.context, [tmp_path / "Head.tri"])
+    bind_head(objects[0])
+    assert prepare_facegen(objects[0])
+    (mouth,) = [obj for obj in objects[0].children if obj.name == "Inner Mouth"]
+    kinds = read_kinds(mouth.data)
+    lightness = {
+        kind: [
+            np.mean(mouth.data.materials[polygon.material_index].diffuse_color[:3])
+            for polygon in mouth.data.polygons
+            if kinds[polygon.vertices[0]] == kind
+        ]
+        for kind in (Part.TEETH_UPPER, Part.TEETH_LOWER, Part.ON_SKIN)
+    }
+    assert min(lightness[Part.TEETH_UPPER]) > 0.5 and max(lightness[Part.TEETH_LOWER]) > 0.5
+    assert 0.1 < min(lightness[Part.TEETH_LOWER]) < 0.4, "the tongue"
+    assert max(lightness[Part.ON_SKIN]) < 0.1
+
+
+def test_a_copy_of_her_file_elsewhere_looks_as_she_does(tmp_path):
+    for name in ("Jane.tri", "Jane.jpg", "Mouth.tri"):
+        shutil.copy(FOLDER / name, tmp_path / name)
+    objects = import_facegen(bpy.context, [tmp_path / "Jane.tri"])
+    bind_head(objects[0])
+    assert prepare_facegen(objects[0])
+    shown = {
+        Path(node.image.filepath).name
+        for obj in objects
+        for node in obj.data.materials[0].node_tree.nodes
+        if node.type == "TEX_IMAGE"
+    }
+    assert shown == {"Skin.jpg", "Mouth.png"}
 
 
 def test_several_files_are_imported_at_once(tmp_path):
