@@ -19,6 +19,7 @@ from urllib.parse import quote
 
 import cv2
 
+from ..core.errors import OutputError
 from ..core.files.pages import html_page, inline_jpeg, jpeg_of
 from ..core.files.writing import replacing
 from .clips import PICTURES, Clip, read_record
@@ -75,15 +76,18 @@ class Report:
     def ended(self, number: int, entry: Entry) -> None:
         """Note what became of a clip, and write its page if that was last done some time ago, or all have ended.
 
-        Raises OutputError if it cannot be written.
+        A page that cannot be written is written by `finish`, so that the other clips are still processed.
         """
         self._entries[number] = entry
         page = number // _ON_PAGE
         self._waiting.add(page)
         complete = all(each.status != "not reached" for each in self._pages[page])
         if complete or time.monotonic() - self._written[page] > _INTERVAL:
-            self._write(page)
-            self._write_summary()
+            try:
+                self._write(page)
+                self._write_summary()
+            except (OSError, OutputError):
+                self._waiting.add(page)
 
     def finish(self) -> None:
         """Write the report; raises OutputError if it cannot be written."""

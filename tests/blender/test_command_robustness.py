@@ -19,6 +19,7 @@ import pytest
 import facemime
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.rendering import write_video
+from facemime.cli.clips import CHECKSUMS
 from facemime.core.errors import OutputError
 from facemime.core.takes.file import load_take, save_take
 from tests.helpers.commands import COMMAND, needs_posix
@@ -219,7 +220,8 @@ def test_the_processes_of_a_killed_batch_end_and_the_next_run_cleans_up(tmp_path
     (out / ".facemime-0123456789abcdef.mp4").touch()
     done = run("batch", SAMPLE, "-o", out)
     assert done.returncode == 0, done.stderr
-    assert not [name for name in os.listdir(out) if name.startswith(".") or name.endswith(".lock")]
+    left = [name for name in os.listdir(out) if name.startswith(".") or name.endswith(".lock")]
+    assert left == [CHECKSUMS]
     (whole,) = (path for path in out.glob("*.facetake") if "unfinished" not in path.name)
     assert len(load_take(whole)) == 255
 

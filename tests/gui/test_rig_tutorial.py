@@ -96,7 +96,7 @@ def learn(studio: Studio) -> None:
     studio.rest = middle(sidebar, studio.shot("rest"))
     before = blender.get(_CHANNELS)
     studio.press("learn_controls")
-    blender.wait_for(f"len({_HEAD}.facemime_rig.controls) > 50", 120.0)
+    blender.wait_for(f"len({_HEAD}.facemime_rig.controls) > 50", 400.0)
     assert blender.get(_CHANNELS) == before, "every channel is as it was"
     sidebar.scroll_down(_TO_CONTROLS)
     box, (_, y) = sidebar.box(), sidebar.find("facemime_steps.arrows")
