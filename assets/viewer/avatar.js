@@ -168,6 +168,7 @@ export class Avatar {
             tongues: texture(arrays.tongue, 3, WIDTH),
             riding: texture(arrays.riding ?? [], 4, WIDTH),
             roots: texture(arrays.roots ?? [], 4, WIDE),
+            gums: texture(arrays.gums ?? [], 4, WIDTH),
             turns: [0, 1, 2].map(() => new THREE.Matrix3()),
             pivots: [around("eye_right"), around("eye_left"), around("jaw")],
             tongue: 0,

@@ -45,9 +45,9 @@ void main() {
 }
 `;
 
-// Every vertex: of the skin, of what turns, of what rides on the skin, of the tongue.
+// Every vertex: of the skin, of what turns, of what rides on the skin, of the tongue, of gums that stay behind the skin.
 export const PARTS = `${COMMON}
-uniform sampler2D rest, follows, skin, tongues, riding, roots;
+uniform sampler2D rest, follows, skin, tongues, riding, roots, gums;
 uniform mat3 turns[3];
 uniform vec3 pivots[3];
 uniform float tongue;
@@ -71,6 +71,12 @@ vec3 rode(vec3 start, int point) {
     vec3 along = dot(axis, arm) * axis;
     return middle.xyz + shift + along + sqrt(1.0 - sine * sine) * (arm - along) + sine * cross(axis, arm);
 }
+float least(int point) {
+    vec4 corners = texelFetch(gums, at(2 * point, WIDTH), 0), weights = texelFetch(gums, at(2 * point + 1, WIDTH), 0);
+    float depth = corners.w;
+    for (int k = 0; k < 3; k++) depth += weights[k] * texelFetch(skin, at(int(corners[k]), WIDTH), 0).z;
+    return depth;
+}
 void main() {
     int vertex = mine(WIDTH);
     offset = vec4(0.0);
@@ -82,6 +88,10 @@ void main() {
     else if (kind >= 2 && kind <= 4) offset.xyz = turned(start, kind - 2) - start;
     else if (kind == 5) offset.xyz = rode(start, source) - start;
     else if (kind == 6) offset.xyz = turned(start + tongue * texelFetch(tongues, at(source, WIDTH), 0).xyz, 2) - start;
+    else if (kind == 7) {
+        vec3 place = turned(start, 2);
+        offset.xyz = vec3(place.xy, max(place.z, least(source))) - start;
+    }
 }
 `;
 

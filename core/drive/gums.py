@@ -21,25 +21,44 @@ _DEEPEST = 0.2
 
 
 class Gums:
-    """Keeps lower teeth and gums behind the skin before them, for a rig of a head and that of its `skin` alone."""
+    """Keeps lower teeth and gums behind the skin before them, for a rig of a head and that of its `skin` alone.
 
-    def __init__(self, rig: HeadRig, skin: HeadRig) -> None:
+    The vertices of the `tongue` (A,) may come out.
+
+    Attributes
+    ----------
+    rows : (G,) intp
+        Vertices of the head that are kept behind its skin.
+    """
+
+    def __init__(self, rig: HeadRig, skin: HeadRig, tongue: NDArray[np.bool_]) -> None:
         landmarks = np.asarray(skin.vertices, dtype=np.float64)[skin.landmarks]
         places, unit = rig.all_vertices.astype(np.float64), rig.eye_distance
         rim = landmarks[[MOUTH_CORNERS[0], *LOWER_LIPS, MOUTH_CORNERS[1]]]
-        rows = np.flatnonzero(rig.kinds == Part.TEETH_LOWER)
+        rows = np.flatnonzero((rig.kinds == Part.TEETH_LOWER) & ~tongue)
         rows = rows[places[rows, 1] - np.interp(places[rows, 0], rim[:, 0], rim[:, 1]) > 0.0]
         triangles = np.empty((0, 3), dtype=np.intp) if skin.faces is None else triangulate(skin.faces)
         corners, weights, room = _covers(places[rows], np.asarray(skin.vertices, dtype=np.float64), triangles)
         near = room < _DEEPEST * unit
-        self._rows, self._corners = rows[near], corners[near]
+        self.rows, self._corners = rows[near], corners[near]
         self._weights = weights[near].astype(np.float32)
         self._apart = np.minimum(room[near], _APART * unit).astype(np.float32)
+        self._rest = np.asarray(skin.vertices, dtype=np.float32)[:, 2]
+
+    def table(self) -> NDArray[np.float32]:
+        """Return what `hold` uses, for evaluation in another program, (G, 2, 4).
+
+        First the corners of the triangle of the skin before each vertex, and the least depth of the vertex at rest;
+        then their weights, and 0. The least depth moves with the weighted mean of the corners.
+        """
+        least = np.einsum("gk,gk->g", self._weights, self._rest[self._corners]) + self._apart
+        corners = np.column_stack([self._corners, least])
+        return np.asarray(np.stack([corners, np.pad(self._weights, ((0, 0), (0, 1)))], axis=1), dtype=np.float32)
 
     def hold(self, out: NDArray[np.float32], skin: NDArray[np.float32]) -> None:
         """Move gums among the vertices of a head (A, 3) back behind its skin (U, 3), in place."""
         before = np.einsum("gk,gk->g", self._weights, skin[:, 2][self._corners])
-        out[self._rows, 2] = np.maximum(out[self._rows, 2], before + self._apart)
+        out[self.rows, 2] = np.maximum(out[self.rows, 2], before + self._apart)
 
 
 def _covers(

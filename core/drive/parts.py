@@ -157,7 +157,8 @@ def _rotations(turns: NDArray[np.float32]) -> NDArray[np.float32]:
 class PartDriver:
     """Poses all vertices of a head: the others follow those of its skin, whose rig alone is `deformed`.
 
-    `kept` (U,) is the vertex of the head of each vertex of the skin, and `others` (O,) are those of other parts.
+    `kept` (U,) is the vertex of the head of each vertex of the skin, and `others` (O,) are those of other parts. `gums`
+    are the lower teeth and gums that the skin covers.
     """
 
     def __init__(self, rig: HeadRig, skin: Skin, deformed: HeadRig) -> None:
@@ -177,8 +178,8 @@ class PartDriver:
         self._tongue, self._out = tongue_of(rig), np.zeros((len(self._teeth), 3), dtype=np.float32)
         if self._tongue.any():
             self._out[self._tongue[self._teeth]] = tongue_out(rig, self._tongue)
+        self.gums = Gums(rig, deformed, self._tongue)
         self._hinge = np.asarray(rig.jaw_pivot, dtype=np.float32)
-        self._gums = Gums(rig, deformed)
         self._riding = np.flatnonzero(kinds == Part.ON_SKIN)
         self._glue = self._glued(rig, deformed) if len(self._riding) else None
         self._at, self._from, self._riders = (_span(rows) for rows in (self._skin_rows, self._copies, self._riding))
@@ -229,7 +230,7 @@ class PartDriver:
         if tongue:
             teeth += np.float32(tongue) * self._out
         out[self._teeth] = _turned(teeth, self._hinge, jaw)
-        self._gums.hold(out, skin)
+        self.gums.hold(out, skin)
         if self._glue is not None:
             out[self._riders] = self._glue.move(skin - self._skin_rest)
         if planar:

@@ -1,9 +1,9 @@
 """What the page loads once for a head, as the graphics card needs it, and the frames that move it.
 
 The page computes what `HeadDriver` does. The skin is ``rest + W d + sum a_k M_k``, with the displacements `d` of the
-landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, and
-lashes and the like follow the skin. A head that is driven by shape keys has no `W`, and its `a` are the values of
-the keys.
+landmarks and the amounts `a` of the actions; lids then slide over the eyeballs; eyes and lower teeth turn, the latter
+stay behind the skin, and lashes and the like follow it. A head that is driven by shape keys has no `W`, and its `a` are
+the values of the keys.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .page import digest
 MAGIC = b"FMVM"
 
 
-STILL, SKIN, EYE_RIGHT, EYE_LEFT, JAW, RIDING, TONGUE = range(7)
+STILL, SKIN, EYE_RIGHT, EYE_LEFT, JAW, RIDING, TONGUE, GUMS = range(8)
 """What a vertex of the page follows."""
 MAX_AMOUNTS = 512
 """Largest number of shape keys that a page can mix. Four keys need one of the 224 uniforms that any graphics card
@@ -76,6 +76,8 @@ def viewer_model(driver: HeadDriver | KeyDriver, appearance: Appearance) -> View
     riding, glue = (np.empty(0), None) if head.parts is None or driver is not head else head.parts.riding
     if glue is not None and len(riding):
         arrays["riding"], arrays["roots"] = glue.tables()
+    if head.parts is not None and driver is head and len(head.parts.gums.rows):
+        arrays["gums"] = head.parts.gums.table()
     out = [part.out for part in parts if part.out is not None]
     if head.parts is not None and driver is head:
         out.insert(0, head.parts.tongue[1])
@@ -169,6 +171,8 @@ def _follows(
             kinds[rows] = _TURNS[name]
         riding, _ = head.parts.riding
         kinds[riding], sources[riding] = RIDING, np.arange(len(riding))
+        gums = head.parts.gums.rows
+        kinds[gums], sources[gums] = GUMS, np.arange(len(gums))
         own_tongue, _ = head.parts.tongue
         kinds[own_tongue], sources[own_tongue] = TONGUE, np.arange(len(own_tongue))
     own, tongue = [kinds], int((kinds == TONGUE).sum())

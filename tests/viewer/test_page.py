@@ -17,7 +17,7 @@ from facemime.core.heads.built_in import load_head
 from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.heads.rig import FaceParts, Part, built_in_head
 from facemime.core.puppet.outputs import KeyDriver, LiveKeys
-from tests.helpers.parted_heads import with_parts
+from tests.helpers.parted_heads import with_gums, with_parts
 from tests.helpers.viewer.watching import NEUTRAL, built_in, face, loaded, plain, shown_on, until, vertices_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -96,6 +96,20 @@ def test_vertices_on_the_graphics_card_are_those_of_the_driver(open_page, watche
             assert np.linalg.norm(frame.vertices - rest[: len(frame.vertices)], axis=1).max() > 0.1 * unit
         attached = vertices_of(page)[len(frames[0].vertices) :]
         assert np.linalg.norm(attached - attached_to(head, frames[0]), axis=1).max() < TOLERANCE * unit
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["mouthRollLower", "mouthSmileLeft"])
+def test_gums_on_the_graphics_card_stay_behind_a_lip_that_is_drawn_back(open_page, watched, name):
+    rig = with_gums(0.03)
+    shown = watched((HeadDriver(rig, NEUTRAL), plain(rig)))
+    (frame,) = shown.show(face(**{name: 1.0}))
+    page = loaded(open_page(shown.address))
+    shown_on(page, 1)
+    assert np.abs(vertices_of(page)[: len(frame.vertices)] - frame.vertices).max() < TOLERANCE * rig.eye_distance
+    teeth = rig.kinds == Part.TEETH_LOWER
+    turned = rig.jaw_pivot + (rig.all_vertices[teeth] - rig.jaw_pivot) @ frame.jaw.T
+    assert (frame.vertices[teeth] - turned)[:, 2].max() > 0.005 * rig.eye_distance
 
 
 def attached_to(head, frame) -> np.ndarray:

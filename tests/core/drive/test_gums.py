@@ -1,41 +1,26 @@
 """Lower teeth and gums stay behind the skin when the lip is drawn back."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from facemime.core.drive.parts import PartDriver
-from facemime.core.face.landmarks import LOWER_LIPS, from_ibug
-from facemime.core.heads.rig import FaceParts, HeadRig, Part, built_in_head
-from tests.helpers.built_in import POINTS, UNIT
+from facemime.core.heads.rig import HeadRig, Part
+from tests.helpers.built_in import UNIT
+from tests.helpers.parted_heads import GUM_COLUMNS, GUM_ROWS, with_gums
 
-ROWS, COLUMNS = 6, 9
 STRAIGHT = np.tile(np.eye(3), (2, 1, 1))
 
 
-def with_gums(room: float) -> HeadRig:
-    """The built-in head with a plate of lower teeth and gums behind the lips, from above to below the lower one."""
-    rig = built_in_head()
-    top = POINTS[LOWER_LIPS].mean(axis=0)
-    chin = POINTS[from_ibug([8])[0]]
-    x = top[0] + UNIT * np.linspace(-0.12, 0.12, COLUMNS)
-    y = np.linspace(top[1] - 0.06 * UNIT, top[1] + 0.6 * (chin[1] - top[1]), ROWS)
-    plate = np.stack([*np.meshgrid(x, y), np.full((ROWS, COLUMNS), top[2] + room * UNIT)], axis=-1).reshape(-1, 3)
-    first = len(rig.vertices) + np.array([r * COLUMNS + c for r in range(ROWS - 1) for c in range(COLUMNS - 1)])
-    faces = first[:, None] + np.array([0, 1, COLUMNS + 1, COLUMNS])
-    kinds = np.repeat([Part.SKIN, Part.TEETH_LOWER], [len(rig.vertices), len(plate)]).astype(np.int8)
-    return replace(rig, parts=FaceParts(kinds, plate.astype(np.float32), faces))
-
-
 def teeth_of(rig: HeadRig, back: float) -> tuple[np.ndarray, np.ndarray]:
-    """Teeth (ROWS, COLUMNS, 3) at rest, and with all skin drawn back, in outer-eye distances."""
+    """Teeth (6, 9, 3) at rest, and with all skin drawn back, in outer-eye distances."""
     alone, skin = rig.skin()
     assert skin is not None
     driver = PartDriver(rig, skin, alone)
     drawn = np.asarray(alone.vertices, dtype=np.float32) + np.float32([0.0, 0.0, back * UNIT])
     posed = driver.pose(drawn, np.eye(3), STRAIGHT)
-    rest, moved = (places[rig.kinds == Part.TEETH_LOWER].reshape(ROWS, COLUMNS, 3) for places in (driver.rest, posed))
+    rest, moved = (
+        places[rig.kinds == Part.TEETH_LOWER].reshape(GUM_ROWS, GUM_COLUMNS, 3) for places in (driver.rest, posed)
+    )
     return rest, moved
 
 
