@@ -24,7 +24,7 @@ _NEAR = 0.12
 _CANDIDATES = 12
 """Number of nearest vertices among which one for a landmark is sought that no other has."""
 _FACING = 0.3
-"""Largest component along the line of sight of the normal of skin below a brow."""
+"""Smallest share of the normal of skin below a brow that points to the viewer."""
 
 
 def place_on_brows(
