@@ -34,8 +34,8 @@ def in_a_window(window: bpy.types.Window | None = None) -> AbstractContextManage
 def evaluated_depsgraph(context: bpy.types.Context) -> bpy.types.Depsgraph:
     """Return the dependency graph of the view layer, evaluated.
 
-    That of `Context.evaluated_depsgraph_get` belongs to whatever the context belongs to; since Sculpt Mode was entered
-    in Blender 4.3, this is a scene, even if its file was closed, and handing the graph to a function crashes.
+    The one from `Context.evaluated_depsgraph_get` may crash a function that it is passed to: once Sculpt Mode has been
+    entered in Blender 4.3, it refers to that scene, even after its file was closed.
     """
     context.evaluated_depsgraph_get()
     graph = context.view_layer.depsgraph

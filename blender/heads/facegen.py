@@ -161,13 +161,11 @@ def _is_copy(path: Path, of: Path) -> bool:
 
 
 def _colour_mouth(head: bpy.types.Object) -> None:
-    """Colour teeth, tongue and wall of a mouth that is one mesh without a texture, as they would all be dark red."""
-    rig = read_rig(head)
-    tongues, start = tongue_of(rig), len(rig.vertices)
+    """Colour the teeth and the tongue of a mouth that is one mesh without a texture, and so dark red all over."""
+    every_tongue = tongue_of(read_rig(head))
     for member in members_of(head)[1:]:
         mesh = mesh_of(member.obj)
-        kinds, tongue = read_kinds(mesh), tongues[start : start + len(mesh.vertices)]
-        start += len(mesh.vertices)
+        kinds, tongue = read_kinds(mesh), every_tongue[member.part]
         (name, *others) = [material.name if material else "" for material in mesh.materials] or [""]
         if others or not names_inside(name) or mesh.materials[0] is None or colour_node(mesh.materials[0]) is not None:
             continue

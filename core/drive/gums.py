@@ -15,9 +15,10 @@ from ..mesh.surface import triangulate
 from ..numeric.arrays import FloatArray, IntArray
 
 _APART = 0.06
-"""Distance behind the skin, in outer-eye distances, that is kept unless they are closer at rest."""
+"""Distance from the skin, in outer-eye distances, that is kept unless they are closer at rest. Chosen on one avatar,
+where at 0.02 triangles between the vertices still came out; an anime figure confirms it."""
 _DEEPEST = 0.2
-"""Distance behind it beyond which they cannot come out."""
+"""Distance from the skin beyond which they are left alone. A broad smile draws the lip of that avatar back by 0.06."""
 
 
 class Gums:
@@ -66,8 +67,8 @@ def _covers(
 ) -> tuple[NDArray[np.intp], FloatArray, FloatArray]:
     """Find the skin that covers points (N, 3), seen from the front.
 
-    Returns the corners (N, 3) of the foremost triangle before each point, as walls of the mouth may lie between, their
-    weights (N, 3), and the distances (N,), which are infinite where there is none.
+    Returns the corners (N, 3) of the foremost triangle in front of each point, their weights (N, 3), and the distance
+    (N,) to it, infinite for points that nothing covers. Walls of the mouth may lie between the two.
     """
     corners = np.zeros((len(points), 3), dtype=np.intp)
     weights, room = np.zeros((len(points), 3)), np.full(len(points), np.inf)

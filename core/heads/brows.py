@@ -1,7 +1,7 @@
 """Landmarks of brows that are pieces of their own, such as those of an anime figure (method.md, section 7.1).
 
-A tracker that was trained on people takes the fold of a large drawn eye for its brow. Where a brow is a piece of a mesh
-with a name, it is known.
+A tracker that was trained on people mistakes the fold of a large drawn eye for its brow. The name of a separate piece
+tells where the brow is.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ _SIDES = (BROWS[:5], EYE_RIGHT), (BROWS[:4:-1], EYE_LEFT)
 _SHARES = np.array([0.04, 0.27, 0.5, 0.73, 0.96])
 """Positions of the landmarks along a brow, from the outer to the inner end."""
 _ASIDE = 0.02
-"""Distance above or below a brow, in outer-eye distances, beyond which most of its landmarks count as misplaced."""
+"""Distance above or below a brow, in outer-eye distances, beyond which most of its landmarks count as misplaced. On
+an anime figure, landmarks on the fold of the eyes were 0.037 and 0.051 below the brows."""
 _NEAR = 0.12
 """Distance from a brow, in outer-eye distances, within which it rides on the skin."""
 _CANDIDATES = 12
