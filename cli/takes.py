@@ -129,8 +129,8 @@ def add_commands(commands: Commands) -> None:
         metavar="RECORDING|ANIMATION[:OBJECT]",
         help="a table from export, possibly with fewer columns, or one of ARKit's coefficients from Live Link Face or "
         "another program; Audio2Face's .json, Face Cap's .txt, OpenFace's .csv or Unity's .anim; the first of numbered "
-        ".obj or .ply meshes, or their folder; FLAME's or GNM's parameters (.npz), with --model; or a file, as for "
-        "bind, in which a face moves, and any mesh of the character (the most likely face)",
+        ".obj or .ply meshes, or their folder; parameters of FLAME, SMPL-X or GNM (.npz, .npy, .pkl), with --model; "
+        "or a file, as for bind, in which a face moves, and any mesh of the character (the most likely face)",
     )
     add_output(read, "OUT.facetake", "the take")
     read.add_argument("--clip", default="", metavar="NAME", help="the clip of an animation to sample (what plays)")
@@ -143,7 +143,9 @@ def add_commands(commands: Commands) -> None:
     read.add_argument(
         "--model", type=Path, metavar="FILE", help="the model of parameters: FLAME's .pkl or .npz, or GNM's .npz"
     )
-    read.add_argument("--fps", type=number, default=FPS, metavar="FPS", help=f"rate of meshes and parameters ({FPS:g})")
+    read.add_argument(
+        "--fps", type=number, metavar="FPS", help=f"rate of meshes and parameters (that of the file, or {FPS:g})"
+    )
     read.add_argument(
         "--mark",
         type=parse_mark,

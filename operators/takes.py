@@ -12,7 +12,9 @@ from bpy.props import EnumProperty, FloatProperty, StringProperty
 from ..blender.animation.sampling import Sampling
 from ..core.errors import Message, SourceError
 from ..core.puppet.sources import PacedSource
-from ..core.takes.face_models import FPS, MAX_FPS, MIN_FPS, PARAMETERS, read_moving_face
+from ..core.takes.face_models import FPS, read_moving_face
+from ..core.takes.face_parameters import MAX_FPS, MIN_FPS
+from ..core.takes.face_parameters import SUFFIXES as PARAMETERS
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.from_video import VIDEO_CUT
 from ..core.takes.numbered_meshes import SUFFIXES as MESHES
@@ -199,7 +201,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     )
     fps: FloatProperty(
         name="Frame Rate",
-        description="Rate of numbered meshes and of parameters",
+        description="Rate of numbered meshes, and of parameters whose file states none",
         default=FPS,
         min=MIN_FPS,
         max=MAX_FPS,
@@ -211,7 +213,8 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
         if path.suffix.lower() in (*RECORDINGS, *MESHES, *PARAMETERS):
             model = Path(bpy.path.abspath(self.model)) if self.model else None
             is_moving = path.suffix.lower() not in RECORDINGS
-            take = read_moving_face(path, self.fps, model) if is_moving else read_recording(path, self.angles)
+            fps = self.fps if self.properties.is_property_set("fps") else None
+            take = read_moving_face(path, fps, model) if is_moving else read_recording(path, self.angles)
             takes_store.keep(context.scene, take, path.stem)
             _report_notes(self, take)
             return

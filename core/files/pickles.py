@@ -81,10 +81,13 @@ class _Arrays(pickle.Unpickler):
 def arrays_of_pickle(data: bytes) -> dict[str, NDArray[Any]]:
     """Return the arrays of numbers in a pickled dictionary, by name; sparse matrices become dense.
 
+    The dictionary may be the only element of an array, as in `.npy` files.
+
     Raises ValueError if the pickle names anything but arrays, none of which is imported or called, or is damaged.
     """
     try:
         content = _Arrays(io.BytesIO(data), encoding="latin1").load()
+        content = content.item() if isinstance(content, np.ndarray) else content
         arrays = {str(name): _array(value) for name, value in dict(content).items()}
     except DataError:
         raise

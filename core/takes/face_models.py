@@ -1,12 +1,10 @@
-"""Parameters of statistical face models over time, FLAME's and GNM's, beside the model's file (takes.md)."""
+"""Motion of statistical face models, FLAME's and GNM's, beside the model's file (takes.md)."""
 
 from __future__ import annotations
 
 import os
-import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,34 +15,54 @@ from numpy.typing import NDArray
 from ..errors import DataError, Message, SourceError
 from ..face.landmarks import IBUG68_INDICES, LOWER_LIPS, UPPER_LIPS, outer_eye_distance
 from ..files.capture import check_readable
-from ..files.pickles import arrays_of_pickle
-from ..files.reading import read_bytes, shown
+from ..files.reading import shown
 from ..heads.rig import neck_of
 from ..numeric.arrays import FloatArray, IntArray
+from .face_parameters import (
+    BODY,
+    DYNAMIC_OFFSET,
+    EXPRESSION,
+    EYES,
+    IDENTITY,
+    JAW,
+    LEFT_EYE,
+    MAX_FPS,
+    MIN_FPS,
+    NECK,
+    POSE,
+    RIGHT_EYE,
+    ROOT,
+    SCALE,
+    STATIC_OFFSET,
+    SUFFIXES,
+    TRANSLATION,
+    VERTICES,
+    Arrays,
+    FaceParameters,
+    read_arrays,
+    read_parameters_file,
+)
 from .measured import FacePoints, PointTracker, describe_animation
 from .moving_mesh import TO_HEAD, MovingMesh, take_of_mesh
 from .numbered_meshes import numbered_files, read_numbered
 from .take import Take, TakeRecorder
 
-PARAMETERS = (".npz",)
 FPS = 30.0
 """Rate of a sequence that states none."""
-MIN_FPS, MAX_FPS = 1.0, 1000.0
-Arrays = Mapping[str, NDArray[Any]]
-_MAX_FILE = 1 << 30
-_MAX_FRAMES = 1_000_000
 _IDENTITY = 300
 """Number of FLAME's modes of identity, which precede those of expression."""
-_EXPRESSION = ("expr", "expression", "exp", "expression_params", "expression_coefficients", "coefficients")
-_SHAPE = ("shape", "betas", "shape_params", "identity")
-_TRANSLATION = ("translation", "transl")
-_POSES = (
-    *((("rotation",), (0,)), (("global_orient",), (0,)), (("neck_pose",), (1,)), (("jaw_pose",), (2,))),
-    *((("eyes_pose", "eye_pose"), (3, 4)), (("leye_pose",), (3,)), (("reye_pose",), (4,))),
-)
-"""Names of the rotations in FLAME's parameters, as its trackers VHAP, GaussianAvatars, DECA and SMPL-X write them, and
-the joints: neck's root, neck, jaw, left and right eye. `pose` has those of root and jaw, or all."""
-_POSE_JOINTS = {6: (0, 2), 15: (0, 1, 2, 3, 4)}
+_JOINTS = ((ROOT, (0,)), (NECK, (1,)), (JAW, (2,)), (EYES, (3, 4)), (LEFT_EYE, (3,)), (RIGHT_EYE, (4,)))
+"""Joints of FLAME that each kind of rotation turns."""
+_POSE_JOINTS = {1: (0,), 2: (0, 2), 3: (0, 1, 2), 5: (0, 1, 2, 3, 4)}
+"""Joints of FLAME in `pose`, by their number."""
+_BODY_JOINTS = 55
+"""Number of joints of SMPL-X, whose expressions are FLAME's."""
+_BODY_FACE = (22, 23, 24)
+"""Joints of SMPL-X that are FLAME's jaw and eyes."""
+_SPINE = (3, 6, 9, 12, 15)
+"""Joints of SMPL-X from the hips to the head."""
+_UPRIGHT = np.radians(60.0)
+"""Mean rotation above which a head is not upright in the axes of its file, whose y may point down, or z up."""
 _EYES_APART = 0.09
 """Distance between the outer corners of a face's eyes in metres, the unit of the modes of GNM's landmarks."""
 _MEDIAPIPE = (
@@ -61,19 +79,26 @@ the lips are those of the outer ones."""
 
 def is_moving_face(path: Path) -> bool:
     """Return whether `read_moving_face` reads a file or folder: parameters, or several numbered meshes."""
-    if os.path.isdir(path) or path.suffix.lower() in PARAMETERS:  # unlike those of Path, these never raise
+    if os.path.isdir(path) or path.suffix.lower() in SUFFIXES:  # unlike those of Path, these never raise
         return True
     return os.path.isfile(path) and len(numbered_files(path)) > 1
 
 
-def read_moving_face(path: Path, fps: float, model: Path | None = None, marks: Mapping[int, int] | None = None) -> Take:
-    """Return the take of numbered meshes, or of parameters, as `read_parameters` and `read_numbered` read them."""
-    if not MIN_FPS <= fps <= MAX_FPS:
+def read_moving_face(
+    path: Path, fps: float | None = None, model: Path | None = None, marks: Mapping[int, int] | None = None
+) -> Take:
+    """Return the take of numbered meshes, or of parameters, as `read_parameters` and `read_numbered` read them.
+
+    Without `fps` the rate is that which the file states, or `FPS`.
+    """
+    if fps is not None and not MIN_FPS <= fps <= MAX_FPS:
         raise SourceError(
             "The rate cannot be {fps:g}. Use one between {low:g} and {high:g}.", fps=fps, low=MIN_FPS, high=MAX_FPS
         )
-    if path.is_dir() or path.suffix.lower() not in PARAMETERS:
-        return take_of_mesh(read_numbered(path), fps, marks)
+    if path.is_dir() and not numbered_files(path):
+        path = next(iter(numbered_files(path, SUFFIXES).values()), path)
+    if path.is_dir() or path.suffix.lower() not in SUFFIXES:
+        return take_of_mesh(read_numbered(path), fps or FPS, marks)
     if not check_readable(path):
         raise SourceError("There is no file {path}. Check its name.", path=path)
     if model is None:
@@ -84,105 +109,53 @@ def read_moving_face(path: Path, fps: float, model: Path | None = None, marks: M
     return read_parameters(path, model, fps, marks)
 
 
-def read_parameters(path: Path, model: Path, fps: float, marks: Mapping[int, int] | None = None) -> Take:
+def read_parameters(path: Path, model: Path, fps: float | None = None, marks: Mapping[int, int] | None = None) -> Take:
     """Return the take of a face model's parameters.
 
-    `path` is an `.npz` file with an array for each kind of parameter, one row per frame, or the first of numbered ones
-    with a frame each; `model` is FLAME's model (`.pkl` or `.npz`), GNM's (`.npz`), or the file of GNM's landmarks.
-    The face without expression is neutral. Raises SourceError if a file cannot be read or they do not fit together, and
-    HeadError if no face is found on the model.
+    `path` is a file that `read_parameters_file` reads; `model` is FLAME's model (`.pkl` or `.npz`), GNM's (`.npz`), or
+    the file of GNM's landmarks. The face without expression is neutral; that of vertices is found in the take. Raises
+    SourceError if a file cannot be read or they do not fit together, and HeadError if no face is found on the model.
     """
-    known = _read(model, Message("a face model"))
-    given = _sequence(path)
+    known, given = read_arrays(model, Message("a face model")), read_parameters_file(path)
+    rate = fps or given.fps or FPS
     try:
         if "expression_modes" in known:
-            return _take_of_landmarks(path.name, given, known, fps)
-        rig = _flame(given, known) if "v_template" in known else _gnm(given, known)
-        faces = np.asarray(known["f" if "f" in known else "triangles"], dtype=np.intp)
-        if faces.ndim != 2 or faces.min() < 0 or faces.max() >= len(rig.rest):
-            raise DataError("a face has a vertex that does not exist")
+            return _take_of_landmarks(path.name, given, known, rate)
+        mesh = _moving_mesh(path.name, given, known)
     except KeyError as error:
         raise SourceError("{path} is not a face model: it has no {name}.", path=model, name=error.args[0]) from error
     except (ValueError, IndexError) as error:
         raise SourceError(
             "{path} does not fit the model {model}: {error}.", path=path, model=model.name, error=error
         ) from error
-    return take_of_mesh(MovingMesh(path.name, rig.rest * TO_HEAD, faces, rig, is_neutral=True), fps, marks)
+    return take_of_mesh(mesh, rate, marks)
 
 
-def _read(path: Path, what: str) -> dict[str, NDArray[Any]]:
-    """Return the arrays of numbers in a file; a SourceError says that it cannot be read as `what`."""
-    try:
-        if path.suffix.lower() == ".pkl":
-            return arrays_of_pickle(read_bytes(path, _MAX_FILE))
-        with np.load(path, allow_pickle=False) as archive:
-            if sum(member.file_size for member in archive.zip.infolist()) > _MAX_FILE:
-                raise DataError("it is larger than {limit} MB", limit=_MAX_FILE >> 20)
-            arrays = {}
-            for name in archive.files:
-                with suppress(ValueError):  # an array of objects, which is not read
-                    arrays[name] = archive[name]
-        return {name: array for name, array in arrays.items() if array.dtype.kind in "biuf"}
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
-        raise SourceError("{path} cannot be read as {what}: {error}.", path=path, what=what, error=error) from error
-
-
-def _sequence(path: Path) -> dict[str, NDArray[Any]]:
-    """Return the parameters in a file, or in numbered files with a frame each; missing ones are rows of NaN."""
-    what = Message("parameters of a face")
-    first = _read(path, what)
-    files = numbered_files(path, PARAMETERS)
-    row = _found(first, _EXPRESSION)
-    if row is None:
-        raise SourceError(
-            "{path} contains no expression, such as expr, expression or exp. Choose another file.", path=path
+def _moving_mesh(source: str, given: FaceParameters, model: Arrays) -> MovingMesh:
+    faces = np.asarray(model["f" if "f" in model else "triangles"], dtype=np.intp)
+    notes: tuple[Message, ...] = (
+        (Message("Not used: {names}", names=shown(", ".join(given.ignored))),) if given.ignored else ()
+    )
+    if VERTICES in given:
+        template = model["v_template" if "v_template" in model else "template_vertex_positions"]
+        frames = _offsets(given.arrays[VERTICES], len(template)) * TO_HEAD
+        _check_faces(faces, len(template))
+        return MovingMesh(source, frames[0], faces, frames, notes=notes)
+    rig = _flame(given, model) if "v_template" in model else _gnm(given, model)
+    _check_faces(faces, len(rig.rest))
+    rig, turned = _upright(rig)
+    if turned is not None:
+        notes += (
+            Message("The head was {angle:.0f} degrees from upright in the middle, and was turned.", angle=turned),
         )
-    if len(files) < 2 or len(np.atleast_2d(row)) != 1:
-        return first
-    frames = {number: _read(file, what) for number, file in files.items()}
-    numbers = range(min(frames), max(frames) + 1)
-    if len(numbers) > _MAX_FRAMES:
-        raise SourceError("{path} has more than {frames:,} frames.", path=path, frames=_MAX_FRAMES)
-    joined = dict(first)
-    for name, value in first.items():
-        if name in _SHAPE or name == "static_offset":
-            continue
-        lost = np.full((1, *np.atleast_2d(value).shape[1:]), np.nan)
-        rows = [np.atleast_2d(frames[n][name]) if name in frames.get(n, {}) else lost for n in numbers]
-        if any(row.shape != lost.shape for row in rows):
-            raise SourceError("{path} and the numbered files after it differ in {name}.", path=path, name=shown(name))
-        joined[name] = np.concatenate(rows)
-    return joined
+    if BODY in given or _is_body(given):
+        notes += (Message("Of the body, the turns of the head relative to the hips are used."),)
+    return MovingMesh(source, rig.rest * TO_HEAD, faces, rig, is_neutral=True, notes=notes)
 
 
-def _found(given: Arrays, names: tuple[str, ...]) -> NDArray[Any] | None:
-    return next((given[name] for name in names if name in given), None)
-
-
-def _rows(given: Arrays, names: tuple[str, ...], count: int, width: int) -> FloatArray:
-    """Return an array (N, width) with a row per frame from the first that is given, or of zeros; a single row is
-    repeated, and columns that lack are 0.
-    """
-    value = _found(given, names)
-    if value is None:
-        return np.zeros((count, width))
-    rows = np.asarray(value, dtype=np.float64).reshape(len(value) if value.ndim > 1 else 1, -1)
-    if len(rows) not in (1, count) or rows.shape[1] > width:
-        raise DataError(
-            "{name} has the shape {shape}, for {count} frames of at most {width} values",
-            name=next(name for name in names if name in given),
-            shape=value.shape,
-            count=count,
-            width=width,
-        )
-    return np.broadcast_to(np.pad(rows, ((0, 0), (0, width - rows.shape[1]))), (count, width))
-
-
-def _expressions(given: Arrays, width: int) -> FloatArray:
-    """Return the expression of each frame, (N, width)."""
-    value = _found(given, _EXPRESSION)
-    assert value is not None
-    return _rows(given, _EXPRESSION, len(value) if value.ndim > 1 else 1, width)
+def _check_faces(faces: IntArray, count: int) -> None:
+    if faces.ndim != 2 or faces.min() < 0 or faces.max() >= count:
+        raise DataError("a face has a vertex that does not exist")
 
 
 @dataclass(frozen=True)
@@ -244,7 +217,7 @@ class _Rig:
         return np.asarray(turned + self.weights @ shifts + moved)
 
 
-def _flame(given: Arrays, model: Arrays) -> _Rig:
+def _flame(given: FaceParameters, model: Arrays) -> _Rig:
     """Return the frames of FLAME (Li et al. 2017)."""
     template = np.asarray(model["v_template"], dtype=np.float64)
     directions = np.asarray(model["shapedirs"], dtype=np.float64)
@@ -261,23 +234,10 @@ def _flame(given: Arrays, model: Arrays) -> _Rig:
         raise DataError("the model has {joints} joints, and FLAME has 5", joints=joints)
     identity = min(_IDENTITY, directions.shape[2])
     modes = np.moveaxis(directions[:, :, identity:], 2, 0)
-    expressions = _expressions(given, len(modes))
-    frames = len(expressions)
-    shape = _rows(given, _SHAPE, frames, identity)[0]
-    rest = template + directions[:, :, :identity] @ shape
-    if "static_offset" in given:
-        rest = rest + _offsets(given["static_offset"], count)[0]
-    turns = np.zeros((frames, joints, 3))
-    if "pose" in given:
-        width = np.atleast_2d(given["pose"])[0].size
-        if width not in _POSE_JOINTS:
-            raise DataError("pose has the shape {shape}, which is unknown", shape=given["pose"].shape)
-        turns[:, _POSE_JOINTS[width]] = _rows(given, ("pose",), frames, width).reshape(frames, -1, 3)
-    for names, of in _POSES:
-        if _found(given, names) is not None:
-            turns[:, of] = _rows(given, names, frames, 3 * len(of)).reshape(frames, -1, 3)
-    moved = _rows(given, _TRANSLATION, frames, 3)
-    offsets = _offsets(given["dynamic_offset"], count) if "dynamic_offset" in given else None
+    expressions = given.rows(EXPRESSION, len(modes))
+    rest = template + directions[:, :, :identity] @ given.rows(IDENTITY, identity)[0] * (not _is_body(given))
+    if STATIC_OFFSET in given:
+        rest = rest + _offsets(given.arrays[STATIC_OFFSET], count)[0]
     return _Rig(
         rest=rest,
         joints=regressor @ rest,
@@ -287,13 +247,81 @@ def _flame(given: Arrays, model: Arrays) -> _Rig:
         weights=weights,
         parents=parents,
         expressions=expressions,
-        turns=turns,
-        moved=moved,
-        offsets=offsets,
+        turns=_turns_of_flame(given),
+        moved=_moved(given),
+        offsets=_offsets(given.arrays[DYNAMIC_OFFSET], count) if DYNAMIC_OFFSET in given else None,
     )
 
 
-def _gnm(given: Arrays, model: Arrays) -> _Rig:
+def _is_body(given: FaceParameters) -> bool:
+    """Whether parameters are those of SMPL-X, whose identity is that of a body."""
+    return BODY in given or (POSE in given and given.turns(POSE).shape[1] == _BODY_JOINTS)
+
+
+def _turns_of_flame(given: FaceParameters) -> FloatArray:
+    """Return the rotation vectors (N, 5, 3) of FLAME's joints."""
+    turns = np.zeros((given.count, 5, 3))
+    body = given.turns(BODY) if BODY in given else None
+    if POSE in given:
+        pose = given.turns(POSE)
+        if pose.shape[1] == _BODY_JOINTS:
+            turns[:, 2:] = pose[:, _BODY_FACE]
+            body = pose[:, 1:] if body is None else body
+        elif pose.shape[1] in _POSE_JOINTS:
+            turns[:, _POSE_JOINTS[pose.shape[1]]] = pose
+        else:
+            raise given.has_unknown_shape(POSE)
+    for kind, joints in _JOINTS:
+        if kind in given:
+            own = given.turns(kind)
+            if own.shape[1] != len(joints):
+                raise given.has_unknown_shape(kind)
+            turns[:, joints] = own
+    if body is not None:
+        if body.shape[1] < max(_SPINE):
+            raise DataError("the body has {count} joints, and SMPL-X's has 21", count=body.shape[1])
+        # Its root turns the whole body, which may walk in a circle, or have z up.
+        turns[:, 0] = _product([body[:, joint - 1] for joint in _SPINE])
+    return turns
+
+
+def _product(chain: Sequence[FloatArray]) -> FloatArray:
+    """Return the rotation vectors (N, 3) of the products of rotations (N, 3); NaN where one is unknown."""
+    out = np.full(chain[0].shape, np.nan)
+    for frame in np.flatnonzero(np.isfinite(chain).all(axis=(0, 2))):
+        whole = np.eye(3)
+        for turns in chain:
+            whole = whole @ cv2.Rodrigues(turns[frame])[0]
+        out[frame] = cv2.Rodrigues(whole)[0][:, 0]
+    return out
+
+
+def _moved(given: FaceParameters) -> FloatArray:
+    """Return the translation (N, 3) of a head that has the size of the model; that of a body does not say its place."""
+    if _is_body(given):
+        return np.zeros((given.count, 3))
+    scale = np.asarray(given.arrays.get(SCALE, 1.0), dtype=np.float64).reshape(-1)
+    known = scale.size == 1 and np.isfinite(scale[0]) and scale[0] > 0.0
+    return given.rows(TRANSLATION, 3) / (scale[0] if known else 1.0)
+
+
+def _upright(rig: _Rig) -> tuple[_Rig, float | None]:
+    """Turn a head that is not upright in the axes of its file; return the rig, and by how many degrees it was not."""
+    known = np.isfinite(rig.turns[:, 0]).all(axis=1)
+    matrices = np.array([cv2.Rodrigues(turn)[0] for turn in rig.turns[known, 0]])
+    if not len(matrices):
+        return rig, None
+    left, _, right = np.linalg.svd(matrices.sum(axis=0))
+    mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    angle = float(np.linalg.norm(cv2.Rodrigues(mean)[0]))
+    if angle < _UPRIGHT:
+        return rig, None
+    turns, pivot = rig.turns.copy(), rig.joints[0]
+    turns[known, 0] = [cv2.Rodrigues(mean.T @ matrix)[0][:, 0] for matrix in matrices]
+    return replace(rig, turns=turns, moved=(rig.moved + pivot) @ mean - pivot), float(np.degrees(angle))
+
+
+def _gnm(given: FaceParameters, model: Arrays) -> _Rig:
     """Return the frames of GNM Head (Google, 2026), whose correctives are 0."""
     template, joints = (np.asarray(model[f"template_{of}_positions"], dtype=np.float64) for of in ("vertex", "joint"))
     modes: FloatArray = model["expression_basis"]
@@ -302,10 +330,10 @@ def _gnm(given: Arrays, model: Arrays) -> _Rig:
     parents = np.array([0, *model["joint_parent_indices"][1:].astype(np.intp)])
     _check(expression_basis=(modes[0], template.shape), skinning_weights=(weights, (len(template), len(joints))))
     _check_tree(parents)
-    expressions = _expressions(given, len(modes))
-    frames = len(expressions)
-    shape = _rows(given, _SHAPE, frames, len(identities))[0]
-    turns = _rows(given, ("rotations",), frames, 3 * len(joints)).reshape(frames, len(joints), 3)
+    shape = given.rows(IDENTITY, len(identities))[0]
+    turns = given.turns(ROOT) if ROOT in given else np.zeros((given.count, len(joints), 3))
+    if turns.shape[1] != len(joints):
+        raise given.has_unknown_shape(ROOT)
     return _Rig(
         rest=template + np.tensordot(shape, identities, 1),
         joints=joints + np.tensordot(shape, joint_identities, 1),
@@ -314,9 +342,9 @@ def _gnm(given: Arrays, model: Arrays) -> _Rig:
         correctives=np.empty((0, len(template), 3)),
         weights=weights,
         parents=parents,
-        expressions=expressions,
+        expressions=given.rows(EXPRESSION, len(modes)),
         turns=turns,
-        moved=_rows(given, _TRANSLATION, frames, 3),
+        moved=_moved(given),
     )
 
 
@@ -338,24 +366,24 @@ def _check_tree(parents: IntArray) -> None:
 def _offsets(value: NDArray[Any], count: int) -> FloatArray:
     """Return offsets (N, V, 3) of the first vertices, as trackers add teeth to FLAME."""
     rows = np.asarray(value, dtype=np.float64)
-    rows = rows.reshape(-1, *rows.shape[-2:])[:, :count]
+    rows = rows.reshape(-1, count, 3) if rows.shape[-1] == 3 * count else rows.reshape(-1, *rows.shape[-2:])[:, :count]
     if rows.shape[1:] != (count, 3):
         raise DataError("an offset has the shape {shape}, for {count} vertices", shape=value.shape, count=count)
     return rows
 
 
-def _take_of_landmarks(source: str, given: Arrays, model: Arrays, fps: float) -> Take:
+def _take_of_landmarks(source: str, given: FaceParameters, model: Arrays, fps: float) -> Take:
     """Return the take of GNM's expressions, by its landmarks alone; the head does not turn."""
     places, modes = np.asarray(model["rest"], dtype=np.float64), np.asarray(model["expression_modes"], np.float64)
     anchors = {int(point): place for place, point in enumerate(model["mediapipe_index"].tolist())}
     if lacking := sorted(set(_MEDIAPIPE) - anchors.keys()):
         raise DataError("it has no landmark {number}", number=lacking[0])
     _check(rest=(places, (len(anchors), 3)), expression_modes=(modes, (len(modes), len(anchors), 3)))
-    expressions = _expressions(given, len(modes))
-    identity = _found(given, _SHAPE)
-    if identity is not None and "identity_modes" in model:
+    expressions = given.rows(EXPRESSION, len(modes))
+    if IDENTITY in given and "identity_modes" in model:
         own = np.asarray(model["identity_modes"], dtype=np.float64)
-        places = places + np.tensordot(_rows(given, _SHAPE, 1, max(len(own), identity.size))[0][: len(own)], own, 1)
+        width = max(len(own), given.arrays[IDENTITY].size)
+        places = places + np.tensordot(given.rows(IDENTITY, width)[0][: len(own)], own, 1)
     chosen = np.array([anchors[point] for point in _MEDIAPIPE])[IBUG68_INDICES]
     rest = places[chosen] * TO_HEAD
     rest[UPPER_LIPS] = rest[LOWER_LIPS] = (rest[UPPER_LIPS] + rest[LOWER_LIPS]) / 2.0

@@ -5,6 +5,7 @@ import struct
 import sys
 from types import ModuleType
 
+import cv2
 import numpy as np
 import pytest
 from scipy.sparse import csc_matrix
@@ -152,6 +153,10 @@ def write_flame(path, monkeypatch):
         path.write_bytes(pickle.dumps(model, protocol=2))
 
 
+def write_dense(path):
+    np.savez(path, **{name: getattr(a, "toarray", lambda a=a: a)() for name, a in flame().items()})
+
+
 def turned(amounts) -> np.ndarray:
     """Rotation vectors of the head, in the axes of the files."""
     return np.array([[0.0, amount / 2.0, 0.0] for amount in amounts])
@@ -197,16 +202,101 @@ def test_the_joints_of_flame_turn_the_eyes_and_the_jaw_about_themselves(tmp_path
 
 
 @pytest.mark.thorough
-def test_numbered_parameters_with_a_frame_each_become_a_take(tmp_path, monkeypatch):
+@pytest.mark.parametrize("given", ["flame_param/00000.npz", "flame_param"])
+def test_numbered_parameters_with_a_frame_each_become_a_take(tmp_path, monkeypatch, given):
     write_flame(tmp_path / "flame.pkl", monkeypatch)
     (tmp_path / "flame_param").mkdir()
     for number, amount in enumerate(AMOUNTS):
         if number != 1:
-            given = {"expr": np.array([[amount]]), "rotation": turned([amount]), "shape": np.zeros(300)}
-            np.savez(tmp_path / "flame_param" / f"{number:05}.npz", **given)
-    take = read_moving_face(tmp_path / "flame_param" / "00000.npz", 30.0, tmp_path / "flame.pkl")
+            row = {"expr": np.array([[amount]]), "rotation": turned([amount]), "shape": np.zeros(300)}
+            np.savez(tmp_path / "flame_param" / f"{number:05}.npz", **row)
+    take = read_moving_face(tmp_path / given, 30.0, tmp_path / "flame.pkl")
     assert np.flatnonzero(~take.found).tolist() == [1]
     check(take)
+
+
+def write_npy(path, table):
+    np.save(path, np.array(table, dtype=object), allow_pickle=True)
+
+
+def spine(amounts) -> np.ndarray:
+    """Joints of SMPL-X's body, which turn the head by the amounts in two steps, and the whole body much further."""
+    joints = np.zeros((len(amounts), 55, 3))
+    joints[:, 0] = [1.5, 0.0, 0.0]
+    joints[:, 6] = joints[:, 15] = turned(amounts) / 2.0
+    return joints
+
+
+TURNS = turned(AMOUNTS)
+OPEN = np.array(AMOUNTS)[:, None]
+DOWN = np.diag([1.0, -1.0, -1.0])
+IN_CAMERA = np.array([DOWN @ cv2.Rodrigues(turn)[0] for turn in TURNS])
+"""The turns in the axes of a camera, whose y points down."""
+WRITTEN = {
+    "NeRSemble": {"expression": OPEN, "rotation": TURNS, "rotation_matrices": IN_CAMERA, "scale": np.full((1, 1), 3.0)},
+    "SMIRK": {"expression_params": OPEN, "pose_params": TURNS, "jaw_params": np.zeros((len(OPEN), 3))},
+    "BEAT2": {"expressions": OPEN, "poses": spine(AMOUNTS).reshape(-1, 165), "betas": np.full(300, 9.0)},
+    "SMPL-X": {
+        "expression": OPEN,
+        "global_orient": spine(AMOUNTS)[:, 0],
+        "body_pose": spine(AMOUNTS)[:, 1:22].reshape(-1, 63),
+        "leye_pose": np.zeros((len(OPEN), 3)),
+    },
+    "in a camera": {"exp": OPEN, "pose": IN_CAMERA[:, None], "trans": np.ones((len(OPEN), 3))},
+    "codes": {"expcode": OPEN, "posecode": np.pad(TURNS, ((0, 0), (0, 3))), "eyecode": np.zeros((len(OPEN), 6))},
+}
+"""Arrays of the same motion, by who writes them so."""
+
+
+@pytest.mark.parametrize("names", WRITTEN)
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".pkl"])
+def test_parameters_become_a_take_whoever_wrote_them(tmp_path, names, suffix):
+    write_dense(tmp_path / "flame.npz")
+    path = tmp_path / f"clip{suffix}"
+    given = WRITTEN[names] | {"cam": np.zeros((len(OPEN), 3))}
+    if suffix == ".npz":
+        np.savez(path, **given)
+    elif suffix == ".npy":
+        write_npy(path, given)
+    else:
+        path.write_bytes(pickle.dumps(given))
+    take = read_moving_face(path, None, tmp_path / "flame.npz")
+    assert arkit_coefficients(take, calibrate(take))[:, JAW_OPEN] == pytest.approx(np.array(AMOUNTS), abs=0.03)
+    # Where the head was not upright, it is turned by its mean.
+    middle = np.mean(AMOUNTS) / 2.0 if names == "in a camera" else 0.0
+    np.testing.assert_allclose(take.pose[:, 2], middle - np.array(AMOUNTS) / 2.0, atol=0.01)
+    np.testing.assert_allclose(take.pose[:, [1, 3]], 0.0, atol=0.01)
+    notes = " ".join(map(str, take.info["notes"]))
+    assert "Not used: 'cam" in notes
+    assert ("180 degrees from upright" in notes) == (names == "in a camera")
+    assert ("relative to the hips" in notes) == (names in ("BEAT2", "SMPL-X"))
+
+
+def test_the_rate_that_a_file_states_is_used_unless_another_is_given(tmp_path):
+    write_dense(tmp_path / "flame.npz")
+    np.savez(tmp_path / "clip.npz", expressions=OPEN, mocap_frame_rate=120.0)
+    stated = read_moving_face(tmp_path / "clip.npz", None, tmp_path / "flame.npz")
+    given = read_moving_face(tmp_path / "clip.npz", 60.0, tmp_path / "flame.npz")
+    assert stated.times[1] == pytest.approx(1.0 / 120.0) and given.times[1] == pytest.approx(1.0 / 60.0)
+
+
+@pytest.mark.parametrize("name", ["verts", ""])
+def test_vertices_of_a_model_over_time_become_a_take(tmp_path, name):
+    write_dense(tmp_path / "flame.npz")
+    vertices = np.array([moved(amount) * FILE_AXES for amount in AMOUNTS])
+    path = tmp_path / ("clip.npz" if name else "clip.npy")
+    if name:
+        np.savez(path, **{name: vertices})
+    else:
+        np.save(path, vertices.reshape(len(vertices), -1))  # as programs that animate faces by speech do
+    check(read_moving_face(path, 30.0, tmp_path / "flame.npz"))
+
+
+def test_parameters_of_a_body_with_too_few_joints_are_an_error(tmp_path):
+    write_dense(tmp_path / "flame.npz")
+    np.savez(tmp_path / "clip.npz", expression=OPEN, body_pose=np.zeros((len(OPEN), 9)))
+    with pytest.raises(SourceError, match="the body has 3 joints"):
+        read_moving_face(tmp_path / "clip.npz", 30.0, tmp_path / "flame.npz")
 
 
 def test_parameters_of_gnm_become_a_take(tmp_path):
@@ -263,9 +353,9 @@ def test_a_hostile_or_damaged_model_is_refused_without_executing_it(tmp_path, co
 
 
 def test_parameters_that_do_not_fit_the_model_are_an_error_that_names_both(tmp_path):
-    np.savez(tmp_path / "model.npz", **{name: getattr(a, "toarray", lambda a=a: a)() for name, a in flame().items()})
+    write_dense(tmp_path / "model.npz")
     np.savez(tmp_path / "clip.npz", expr=np.zeros((2, 50)))
-    with pytest.raises(SourceError, match=r"clip\.npz does not fit the model model\.npz: expr has the shape"):
+    with pytest.raises(SourceError, match=r"clip\.npz does not fit the model model\.npz: 'expr' has the shape"):
         read_moving_face(tmp_path / "clip.npz", 30.0, tmp_path / "model.npz")
     with pytest.raises(SourceError, match="Choose the model's file, too"):
         read_moving_face(tmp_path / "clip.npz", 30.0)
