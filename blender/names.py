@@ -36,6 +36,9 @@ PARTS_PROPERTY = "facemime_parts"
 PART_ATTRIBUTE = "facemime_part"
 """Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.rig.Part`."""
 
+FACEGEN_PROPERTY = "facemime_facegen"
+"""Custom property of an object that was imported from a file of FaceGen."""
+
 HEAD_PROPERTY = "facemime_head"
 """Custom property of another mesh of a face: the head to which it belongs."""
 

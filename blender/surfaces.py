@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 from typing import Literal
 
 import bpy
 
+from ..core.files.reading import read_bytes
 from .stubs import AlphaMode
 
+_MAX_FILE = 32_000_000
+"""Size of an image in bytes above which it is not read."""
 _MAX_BETWEEN = 2
 """Number of nodes of colour correction that may lie between an image and the shader."""
 
@@ -30,6 +34,19 @@ def linked_image(socket: bpy.types.NodeSocket) -> bpy.types.ShaderNodeTexImage |
         assert node is not None
         socket = next((one for one in node.inputs if one.type == "RGBA"), socket)
     return None
+
+
+def image_file(image: bpy.types.Image) -> bytes:
+    """Return the file of an image, packed or not; empty if it is generated, too large, or cannot be read."""
+    if image.source != "FILE":
+        return b""
+    if image.packed_file is not None:
+        data = bytes(image.packed_file.data)
+        return data if len(data) <= _MAX_FILE else b""
+    try:
+        return read_bytes(Path(bpy.path.abspath(image.filepath, library=image.library)), _MAX_FILE)
+    except (OSError, ValueError):  # without its file, only the colour is shown, as in Blender's viewport
+        return b""
 
 
 def show_colour_images() -> None:

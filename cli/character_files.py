@@ -14,10 +14,11 @@ from ..blender import head_properties
 from ..blender.animation.clips import AnimationClip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
-from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen, refine_jane
+from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
 from ..blender.heads.family import family_of, heads_of, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
 from ..blender.heads.openings import open_eyes, open_lips
+from ..blender.heads.painted_eyes import paint_skin_around_eyes
 from ..blender.meshes import can_be_driven
 from ..blender.rendering import quiet, set_rate
 from ..core.errors import FacemimeError, HeadError, SourceError
@@ -249,7 +250,7 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
     if by_keys is not None and not (by_keys and facegen) and any(found.sources.issuperset(by_keys) for found in sets):
         head = bind_keys(chosen)
         if facegen:
-            refine_jane(head)
+            paint_skin_around_eyes(head)
         tell(driven_by_its_keys(head))
         return head
     head, binding = bound_character(chosen)

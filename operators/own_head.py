@@ -19,14 +19,16 @@ from ..blender.heads.binding import (
     turn_note,
     write_marks,
 )
-from ..blender.heads.eyeballs import put_eyeballs
+from ..blender.heads.facegen import prepare_mouth
 from ..blender.heads.family import character_of
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.openings import open_eyes, open_lips
+from ..blender.heads.painted_eyes import has_painted_skin, replace_eyes
 from ..blender.heads.placing import FormerBinding
 from ..blender.meshes import mesh_of, read_places
 from ..blender.messages import translated
 from ..blender.preview_scene import face_points, look_at_face
+from ..blender.stubs import OperatorResult
 from ..blender.view_layers import select_alone, show
 from ..blender.viewports import is_hidden_by_others, show_alone, viewport_of
 from ..core.errors import HeadError
@@ -238,12 +240,20 @@ class FACEMIME_OT_open_eyes(OnHead, bpy.types.Operator):
     eyeballs: BoolProperty(
         name="Eyeballs That Turn",
         description="Put eyeballs, which follow the gaze, in place of the eyes that are painted on the mesh",
+        options={"SKIP_SAVE"},
     )
 
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+        """Put eyeballs in place of eyes that a texture shows, unless it was chosen not to."""
+        if not self.properties.is_property_set("eyeballs"):
+            self.eyeballs = has_painted_skin(subject(context))
+        return self.execute(context)
+
     def work(self, context: bpy.types.Context) -> None:
-        count = open_eyes(subject(context))
+        head = subject(context)
         if self.eyeballs:
-            put_eyeballs(subject(context))
+            prepare_mouth(required_subject(context))
+        count = replace_eyes(head) if self.eyeballs else open_eyes(head)
         report(
             self,
             "Cut along the lids of {count} eyes. If the cut misses the lids, undo it, mark the corners of the eyes, "

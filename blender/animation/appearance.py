@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import Any
 
 import bpy
@@ -11,17 +10,14 @@ import numpy as np
 from mathutils import Matrix
 from numpy.typing import NDArray
 
-from ...core.files.reading import read_bytes
 from ...core.heads.appearance import Appearance, AttachedPart, Material, Patch
 from ..characters import members_of, objects_of, rest_matrix
 from ..frames import from_blender, to_blender
 from ..meshes import keys_of, mesh_of, read_faces, read_uv, read_vertices
 from ..names import PART_PROPERTY, TONGUE_KEY
-from ..surfaces import linked_image, principled
+from ..surfaces import image_file, linked_image, principled
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue
 
-_MAX_IMAGE = 32_000_000
-"""Size of an image in bytes above which a surface is shown in its plain colour."""
 _SIGNATURES = (b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"RIFF")
 """First bytes of the images that a browser shows: PNG, JPEG and WebP."""
 _NEUTRAL = Material((0.8, 0.8, 0.8), 0.5)
@@ -106,14 +102,5 @@ def _rgb(colour: Sequence[float]) -> tuple[float, float, float]:
 
 def _encoded(node: bpy.types.ShaderNodeTexImage | None) -> bytes:
     """Return the file of an image that a browser can show; empty otherwise, such as for a generated one."""
-    image = None if node is None else node.image
-    if image is None or image.source != "FILE":
-        return b""
-    try:
-        if image.packed_file is not None:
-            data = bytes(image.packed_file.data)
-        else:
-            data = read_bytes(Path(bpy.path.abspath(image.filepath, library=image.library)), _MAX_IMAGE)
-    except (OSError, ValueError):  # without its file, only the colour is shown, as in Blender's viewport
-        return b""
-    return data if len(data) <= _MAX_IMAGE and data.startswith(_SIGNATURES) else b""
+    data = b"" if node is None or node.image is None else image_file(node.image)
+    return data if data.startswith(_SIGNATURES) else b""

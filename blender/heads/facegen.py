@@ -19,15 +19,14 @@ from ...core.heads.rig import Part
 from ...core.heads.tongues import tongue_lowered, tongue_of
 from ..characters import members_of, read_kinds
 from ..frames import to_blender
-from ..meshes import is_head, mesh_of, move_vertices
-from ..names import UV_MAP
+from ..meshes import mesh_of, move_vertices
+from ..names import FACEGEN_PROPERTY, UV_MAP
 from ..rigs import read_rig
 from ..surfaces import colour_node
 from ..view_layers import select_alone
 from .binding import bind_character, check_object, write_marks
-from .eyeballs import put_eyeballs
 from .materials import mouth_material, plain_material, show_image
-from .openings import open_eyes
+from .painted_eyes import replace_eyes
 
 MILLIMETRE = 0.001
 _JANE = ASSETS / "facegen" / "Jane.tri"
@@ -121,35 +120,32 @@ def _image_nodes(obj: bpy.types.Object) -> list[bpy.types.ShaderNodeTexImage]:
 
 
 def prepare_facegen(head: bpy.types.Object) -> bool:
-    """Cut the lids of a bound head free of its painted eyes, and put eyeballs that turn behind them.
+    """Prepare the mouth of a bound head, and put eyeballs that turn in place of its eyes if they are painted.
 
-    A mouth without a texture is coloured by its parts. Returns whether the eyes were painted.
+    Returns whether they were.
     """
-    _colour_mouth(head)
+    prepare_mouth(head)
     if not any(finding.step == "open_eyes" for finding in check_object(head)):
         return False
-    open_eyes(head)
-    put_eyeballs(head)
-    refine_jane(head)
+    replace_eyes(head)
     return True
 
 
-def refine_jane(head: bpy.types.Object) -> None:
-    """Change what shows in Jane's file, wherever it lies: make-up of the lids, by which her face is found but which
-    would be black when they shut, and a mouth that the tongue fills and whose wall is as bright. Other heads stay as
-    they are.
+def prepare_mouth(head: bpy.types.Object) -> None:
+    """Colour the mouth of a bound FaceGen head by its parts if it has no texture, and open Jane's, wherever her file
+    lies. Other heads stay as they are.
     """
-    painted = [
-        node
-        for node in _image_nodes(head)
-        if node.image is not None and _is_copy(Path(bpy.path.abspath(node.image.filepath)), _MADE_UP)
-    ]
-    if not painted:
+    if FACEGEN_PROPERTY not in head:
         return
-    for node in painted:
-        node.image = bpy.data.images.load(str(_MADE_UP.with_name("Skin.jpg")), check_existing=True)
-    if is_head(head):
+    _colour_mouth(head)
+    if _is_jane(head):
         _open_up_mouth(head)
+
+
+def _is_jane(head: bpy.types.Object) -> bool:
+    """Return whether a head shows Jane's texture. Her tongue fills her mouth, whose wall is as bright."""
+    images = [node.image for node in _image_nodes(head) if node.image is not None]
+    return any(_is_copy(Path(bpy.path.abspath(image.filepath)), _MADE_UP) for image in images)
 
 
 def _is_copy(path: Path, of: Path) -> bool:
@@ -180,6 +176,9 @@ def _colour_mouth(head: bpy.types.Object) -> None:
 
 def _open_up_mouth(head: bpy.types.Object) -> None:
     """Lay the tongue of a head on the floor of its mouth, and make the wall dark."""
+    inside = [mesh_of(member.obj) for member in members_of(head)[1:]]
+    if any(mouth_material() in mesh.materials[:] for mesh in inside):
+        return  # it was opened before
     rig = read_rig(head)
     tongue = tongue_of(rig)
     down = np.zeros((len(rig.all_vertices), 3))
@@ -250,6 +249,7 @@ def _add(
     mesh.materials.append(_material(path, textured=head.uv is not None))
     mesh.update()
     obj = bpy.data.objects.new(name, mesh)
+    obj[FACEGEN_PROPERTY] = True
     context.collection.objects.link(obj)
     _add_keys(obj, head.vertices, (*_distinct(head.morphs), *modes), scale)
     known = {_MARKS[key]: vertex for key, vertex in _labels(head).items() if key in _MARKS}

@@ -1,8 +1,7 @@
 """The FaceGen head that ships: `python -m lab.training.facegen`.
 
-Jane, of Singular Inversions' FaceGen Base Library (MIT), with her mouth and hair, unchanged. In a second texture of her
-skin, the make-up of her upper lids becomes skin, as shut eyes would be black; her face is found with the first. The
-library has no textures of mouth and hair, which are painted here.
+Jane, of Singular Inversions' FaceGen Base Library (MIT), with her mouth and hair, unchanged. The library has no
+textures of mouth and hair, which are painted here.
 """
 
 from __future__ import annotations
@@ -24,16 +23,6 @@ OUTPUT = ROOT / "assets" / "facegen"
 _COPIED = ("Jane.tri", "Jane.jpg", "Mouth.tri", "Hair.tri", "LICENSE.txt")
 _SIDE = 512
 """Side of the painted textures in pixels."""
-_LID, _EYE = 1.5, 0.8
-"""Motion in millimetres under a blink above which skin belongs to a lid, and under a look to an eye."""
-_AROUND = 26
-"""Pixels around eye and lids that have make-up, too."""
-_LASH_LINE = 8.0
-"""Pixels along the rim of the lids that stay as they are."""
-_RIM = 12.0
-"""Pixels along the inside of the rim of an eye that become the edge of its lids, which is seen when they shut."""
-_RIM_COLOUR = (36, 50, 84)
-"""Colour of that edge, BGR."""
 _GUMS, _ENAMEL, _GAP = (112, 106, 178), (196, 214, 222), (60, 66, 84)
 _TONGUE, _WALL = (104, 96, 172), (44, 38, 92)
 _HAIR = (22, 26, 34)
@@ -54,31 +43,8 @@ def main() -> None:
     OUTPUT.mkdir(parents=True, exist_ok=True)
     for name in _COPIED:
         shutil.copyfile(source / name, OUTPUT / name)
-    skin = cv2.imread(str(source / "Jane.jpg"))
-    painted = without_make_up(skin, read_tri(source / "Jane.tri"))
-    cv2.imwrite(str(OUTPUT / "Skin.jpg"), painted, [cv2.IMWRITE_JPEG_QUALITY, 90])
     cv2.imwrite(str(OUTPUT / "Mouth.png"), paint_mouth(read_tri(source / "Mouth.tri"), rng))
     cv2.imwrite(str(OUTPUT / "Hair.png"), paint_hair(read_tri(source / "Hair.tri"), rng))
-
-
-def without_make_up(skin: np.ndarray, head: FaceGenMesh) -> np.ndarray:
-    """Replace the make-up of the upper lids in a texture (H, W, 3) by the skin around, but for a line of lashes."""
-    morphs = dict(head.morphs)
-    lids = _moved(skin, head, [morphs[f"Modifier: Blink {side}"] for side in ("Left", "Right")], _LID)
-    eyes = _moved(skin, head, [morphs["Modifier: LookLeft"]], _EYE, entirely=True)
-    lids[eyes > 0] = 0
-    everything = cv2.dilate(lids | eyes, np.ones((2 * _AROUND + 1,) * 2, np.uint8))
-    smooth = cv2.GaussianBlur(cv2.inpaint(skin, everything, 5, cv2.INPAINT_TELEA), (0, 0), 2.0)
-    grain = skin.astype(np.float32) - cv2.GaussianBlur(skin, (0, 0), 2.0)
-    from_rim = cv2.distanceTransform((eyes == 0).astype(np.uint8), cv2.DIST_L2, 5)
-    share = np.clip(from_rim / _LASH_LINE - 0.2, 0.0, 1.0)
-    share *= cv2.GaussianBlur(cv2.dilate(lids, np.ones((_AROUND, _AROUND), np.uint8)), (0, 0), 4.0) / 255.0
-    share[eyes > 0] = 0.0
-    out = skin + share[..., None] * (smooth + 0.3 * grain - skin)
-    within = cv2.distanceTransform((eyes > 0).astype(np.uint8), cv2.DIST_L2, 5)
-    rim = np.clip(1.0 - (within - 0.6 * _RIM) / (0.4 * _RIM), 0.0, 1.0) * (eyes > 0)
-    out += rim[..., None] * (np.array(_RIM_COLOUR) - out)
-    return np.clip(out, 0, 255).astype(np.uint8)
 
 
 def paint_mouth(mouth: FaceGenMesh, rng: np.random.Generator) -> np.ndarray:
@@ -154,20 +120,6 @@ def paint_hair(hair: FaceGenMesh, rng: np.random.Generator) -> np.ndarray:
             cv2.line(lock, (round(root), 0), (round(float(lean)), end), 255, 1 + int(rng.random() < 0.6), cv2.LINE_AA)
         alpha[y : y + h, x : x + w] = lock if tip_below else lock[::-1]
     return np.dstack([np.clip(tone, 0, 255).astype(np.uint8), alpha])
-
-
-def _moved(
-    image: np.ndarray, head: FaceGenMesh, morphs: list[np.ndarray], least: float, *, entirely: bool = False
-) -> np.ndarray:
-    """Mask of the faces of which a corner, or each if `entirely`, moves by more than `least` under any morph."""
-    mask = np.zeros(image.shape[:2], np.uint8)
-    far = np.max([np.linalg.norm(morph, axis=1) for morph in morphs], axis=0) > least
-    where = _pixels(head, image)
-    moving, absent = far[head.faces], head.faces < 0
-    chosen = (moving | absent).all(axis=1) if entirely else (moving & ~absent).any(axis=1)
-    for row in np.flatnonzero(chosen):
-        cv2.fillPoly(mask, [where[row][head.faces[row] >= 0]], 255)
-    return mask
 
 
 def _pixels(mesh: FaceGenMesh, image: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ import shutil
 from pathlib import Path
 
 import bpy
+import cv2
 import numpy as np
 import pytest
 
@@ -11,10 +12,12 @@ from facemime.blender.characters import part_table, read_kinds
 from facemime.blender.heads.binding import bind_head, check_object
 from facemime.blender.heads.facegen import add_facegen, import_facegen, parts_beside, prepare_facegen
 from facemime.blender.heads.materials import mouth_material
+from facemime.blender.heads.painted_eyes import has_painted_skin
 from facemime.blender.meshes import key_points, read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
 from facemime.blender.paint import read_paint
 from facemime.blender.rigs import read_rig
+from facemime.blender.surfaces import image_file
 from facemime.core.drive.driver import drive_take
 from facemime.core.face.landmarks import from_ibug, lid_gaps, outer_eye_distance
 from facemime.core.face.names import COEFFICIENT_INDEX
@@ -156,19 +159,39 @@ def test_a_mouth_without_a_texture_has_light_teeth_and_a_dark_wall(tmp_path):
     assert max(lightness[Part.ON_SKIN]) < 0.1
 
 
+def image_of(obj):
+    (image,) = {node.image for node in obj.data.materials[0].node_tree.nodes if node.type == "TEX_IMAGE"}
+    return image
+
+
 def test_a_copy_of_her_file_elsewhere_looks_as_she_does(tmp_path):
     for name in ("Jane.tri", "Jane.jpg", "Mouth.tri"):
         shutil.copy(FOLDER / name, tmp_path / name)
     objects = import_facegen(bpy.context, [tmp_path / "Jane.tri"])
     bind_head(objects[0])
     assert prepare_facegen(objects[0])
-    shown = {
-        Path(node.image.filepath).name
-        for obj in objects
-        for node in obj.data.materials[0].node_tree.nodes
-        if node.type == "TEX_IMAGE"
-    }
-    assert shown == {"Skin.jpg", "Mouth.png"}
+    own, built_in = (image_of(obj).packed_file.data for obj in (objects[0], add_facegen(bpy.context)))
+    assert own == built_in
+    assert Path(image_of(objects[1]).filepath).name == "Mouth.png"
+
+
+@pytest.mark.parametrize("brightness", [1.0, 1.6])
+def test_paint_around_the_eyes_of_a_head_becomes_skin_and_its_file_stays_as_it_is(tmp_path, brightness):
+    painted = np.clip(cv2.imread(str(FOLDER / "Jane.jpg")).astype(np.float64) * brightness, 0, 255).astype(np.uint8)
+    painted = cv2.resize(painted, (1024, 1024), interpolation=cv2.INTER_AREA)
+    shutil.copy(FOLDER / "Jane.tri", tmp_path / "Head.tri")
+    cv2.imwrite(str(tmp_path / "Head.png"), painted)
+    before = (tmp_path / "Head.png").read_bytes()
+    (head,) = import_facegen(bpy.context, [tmp_path / "Head.tri"])
+    bind_head(head)
+    assert has_painted_skin(head)
+    assert bpy.ops.facemime.open_eyes(eyeballs=True) == {"FINISHED"}
+    assert len(read_rig(head).eyeballs) == 2
+    shown = cv2.imdecode(np.frombuffer(image_file(image_of(head)), np.uint8), cv2.IMREAD_COLOR)
+    changed = np.abs(shown.astype(int) - painted).max(axis=2) > 40
+    assert 0.0005 < changed.mean() < 0.02
+    assert (painted[changed].mean(axis=1) < 0.75 * shown[changed].mean(axis=1)).mean() > 0.5, "most was make-up"
+    assert (tmp_path / "Head.png").read_bytes() == before and image_of(head).packed_file is not None
 
 
 def test_several_files_are_imported_at_once(tmp_path):
