@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from ..mesh.triangles import rasterise
 from ..numeric.arrays import FloatArray
 from .eyeballs import EyeOutline
 
@@ -101,20 +102,11 @@ def _areas(corners: FloatArray) -> FloatArray:
 
 def _places(pixels: FloatArray, local: FloatArray, shape: tuple[int, int]) -> FloatArray:
     """Return the point of the eye's frame (H, W, 2) that each pixel shows; NaN where it shows none."""
-    which = np.full(shape, -1, np.int32)
-    for number, corners in enumerate(np.round(pixels * 16.0).astype(np.int32)):
-        cv2.fillConvexPoly(which, corners, (number,), cv2.LINE_8, 4)
-    rows, columns = np.nonzero(which >= 0)
-    chosen = which[rows, columns]
-    a, b, c = pixels[chosen].transpose(1, 0, 2)
-    sides = np.stack([b - a, c - a], axis=-1)
-    area = np.linalg.det(sides)
-    sides[np.abs(area) < 1e-9] = np.eye(2)
-    shares = np.linalg.solve(sides, (np.column_stack([columns, rows]) - a)[..., None])[..., 0]
-    first, second, third = local[chosen].transpose(1, 0, 2)
-    out = np.full((*shape, 2), np.nan)
-    out[rows, columns] = first + shares[:, :1] * (second - first) + shares[:, 1:] * (third - first)
-    return out
+    corners, side = np.arange(3 * len(pixels)).reshape(-1, 3), max(shape)
+    seen = rasterise(pixels.reshape(-1, 2), np.zeros(corners.size), corners, side)
+    out = np.full((side * side, 2), np.nan)
+    out[seen.pixel] = (seen.barycentric[..., None] * local[seen.triangle]).sum(axis=1)
+    return out.reshape(side, side, 2)[: shape[0], : shape[1]]
 
 
 def _layers(

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from ..errors import DataError, Message, SourceError
 from ..face.landmarks import IBUG68_INDICES, LOWER_LIPS, UPPER_LIPS, outer_eye_distance
+from ..face.rotation import fit_rotation
 from ..files.capture import check_readable
 from ..files.reading import shown
 from ..heads.rig import neck_of
@@ -311,8 +312,7 @@ def _upright(rig: _Rig) -> tuple[_Rig, float | None]:
     matrices = np.array([cv2.Rodrigues(turn)[0] for turn in rig.turns[known, 0]])
     if not len(matrices):
         return rig, None
-    left, _, right = np.linalg.svd(matrices.sum(axis=0))
-    mean = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    mean = fit_rotation(np.tile(np.eye(3), (len(matrices), 1)), matrices.transpose(0, 2, 1).reshape(-1, 3))
     angle = float(np.linalg.norm(cv2.Rodrigues(mean)[0]))
     if angle < _UPRIGHT:
         return rig, None
