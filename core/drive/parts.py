@@ -9,7 +9,7 @@ from ..deform.lid_rims import lid_rims
 from ..heads.eyeballs import part_eyeball
 from ..heads.rig import HeadRig, Part, Skin
 from ..heads.tongues import tongue_of, tongue_out
-from ..mesh.surface import NearestPoints, SurfaceGraph, islands
+from ..mesh.surface import NearestPoints, SurfaceGraph, islands, surface_normals
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 from .gums import Gums
@@ -241,13 +241,23 @@ class PartDriver:
         points = self.rest[self._riding]
         sides = np.asarray(deformed.region_weights).argmax(axis=0)
         rims = _rims(deformed)
-        roots, at_rim = self._roots(rig, points, self._skin_rest[rims])
+        roots, at_rim = self._roots(rig, points, self._skin_rest[rims], self._behind(points, deformed))
         return Glue(points, roots, deformed.vertices, sides, rig.eye_distance, rims, at_rim)
 
+    def _behind(self, points: FloatArray, deformed: HeadRig) -> NDArray[np.bool_]:
+        """Whether each of `points` (N, 3) lies behind the skin nearest to it, and not on it, (N,)."""
+        if deformed.faces is None:
+            return np.zeros(len(points), dtype=np.bool_)
+        (nearest, squared), unit = NearestPoints(self._skin_rest).query(points), deformed.eye_distance
+        normals = surface_normals(self._skin_rest, deformed.faces)[nearest[:, 0]]
+        depth = ((self._skin_rest[nearest[:, 0]] - points) * normals).sum(axis=1)
+        return np.asarray((squared[:, 0] > (_ON_SKIN * unit) ** 2) & (depth > 0.0))
+
     def _roots(
-        self, rig: HeadRig, points: FloatArray, rims: NDArray[np.float32]
+        self, rig: HeadRig, points: FloatArray, rims: NDArray[np.float32], behind: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Vertex among `points` at which each is rooted, (N,): itself on the skin, else the nearest of its piece.
+        """Vertex among `points` at which each is rooted, (N,): itself on or `behind` (N,) the skin, or the nearest such
+        vertex of its piece.
 
         A piece that reaches the rim of a lid, at `rims` (M, 3), is rooted there alone; the second result tells which.
         """
@@ -268,6 +278,8 @@ class PartDriver:
                 near = within[[int(away[within].argmin())]]
             elif away[within].max() > _ON_SKIN * unit:
                 near = within[away[within] <= max(_ON_SKIN * unit, 1.5 * float(away[within].min()))]
+                # A wall behind the lips is no hair: rotated as they roll, its far end would come out of the chin.
+                near = np.union1d(near, within[behind[within]])
             else:
                 continue
             roots[within] = _nearest_along(graph, within, near)

@@ -24,7 +24,9 @@ _FILLED = 0.2
 _REACH = 0.2
 """Distance in outer-eye distances from the foremost lip to the tip of a tongue that is out."""
 _BELOW = 0.01
-"""Height of that tip below the slit of the mouth, in outer-eye distances."""
+"""Height of the tongue below the slit of the mouth, in outer-eye distances, where it leaves the lips."""
+_HANG = 0.1
+"""Height by which its tip hangs below that, so that it is seen from the front."""
 _DROOP, _TAPER = 0.05, 0.35
 """Height of its middle above a straight line, in outer-eye distances, and share of its width that the tip loses."""
 
@@ -65,13 +67,15 @@ def tongue_out(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:
     along = (z.max() - z) / np.ptp(z)
     slit = points[np.concatenate([UPPER_LIPS, LOWER_LIPS]), 1].mean()
     rise = y[along.argmax()] - (slit + _BELOW * unit)
-    reach = z.min() - (points[LIPS, 2].min() - _REACH * unit)
+    lips = points[LIPS, 2].min()
+    forward = (z.min() - (lips - _REACH * unit)) * along**1.5
+    outside = np.maximum(lips - (z - forward), 0.0) / (_REACH * unit)
     middle = 0.5 * (x.min() + x.max())
     return np.column_stack(
         [
             -_TAPER * (x - middle) * along**6,
-            _DROOP * unit * along**4 - (rise + _DROOP * unit) * along,
-            -reach * along**1.5,
+            _DROOP * unit * along**4 - (rise + _DROOP * unit) * along + _HANG * unit * outside**2,
+            -forward,
         ]
     )
 

@@ -10,10 +10,11 @@ import pytest
 
 from facemime.blender.characters import part_table, read_kinds
 from facemime.blender.heads.binding import bind_head, check_object
+from facemime.blender.heads.expression_keys import make_expression_keys
 from facemime.blender.heads.facegen import add_facegen, import_facegen, parts_beside, prepare_facegen
 from facemime.blender.heads.materials import mouth_material
 from facemime.blender.heads.painted_eyes import has_painted_skin
-from facemime.blender.meshes import key_points, read_landmarks, read_vertices
+from facemime.blender.meshes import key_offsets, key_points, read_landmarks, read_vertices
 from facemime.blender.names import PART_PROPERTY
 from facemime.blender.paint import read_paint
 from facemime.blender.rigs import read_rig
@@ -192,6 +193,17 @@ def test_paint_around_the_eyes_of_a_head_becomes_skin_and_its_file_stays_as_it_i
     assert 0.0005 < changed.mean() < 0.02
     assert (painted[changed].mean(axis=1) < 0.75 * shown[changed].mean(axis=1)).mean() > 0.5, "most was make-up"
     assert (tmp_path / "Head.png").read_bytes() == before and image_of(head).packed_file is not None
+
+
+def test_the_wall_of_her_mouth_stays_within_her_face_in_all_keys_that_are_made():
+    head = add_facegen(bpy.context)
+    make_expression_keys(head)
+    (mouth,) = [child for child in head.children if child.name.startswith("Mouth")]
+    wall, keys = read_kinds(mouth.data) == Part.ON_SKIN, mouth.data.shape_keys.key_blocks
+    for name in set(COEFFICIENT_INDEX) & set(keys.keys()):
+        of_skin = head.data.shape_keys.key_blocks[name]
+        skin, inside = (np.linalg.norm(key_offsets(key), axis=1) for key in (of_skin, keys[name]))
+        assert inside[wall].max() < 1.5 * skin.max() + 1e-5, name
 
 
 def test_several_files_are_imported_at_once(tmp_path):
