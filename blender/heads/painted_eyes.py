@@ -47,10 +47,11 @@ def has_painted_skin(obj: bpy.types.Object | None) -> bool:
 def paint_skin_around_eyes(head: bpy.types.Object) -> None:
     """Replace what the textures of a head show around its painted eyes by skin, in packed copies of their images.
 
-    The landmarks of a head that keys drive are found for that, and are not kept.
+    The landmarks of a head that keys drive are found for that, and are not kept; without them nothing is replaced.
     """
-    for node, image in _painted(head, _landmarks_found(head) if driven_by_keys(head) else read_landmarks(head)):
-        node.image = image
+    with suppress(HeadError):
+        for node, image in _painted(head, _landmarks_found(head) if driven_by_keys(head) else read_landmarks(head)):
+            node.image = image
 
 
 def _painted(head: bpy.types.Object, landmarks: IntArray) -> list[tuple[bpy.types.ShaderNodeTexImage, bpy.types.Image]]:
@@ -95,7 +96,8 @@ def _textured(
     mesh.polygons.foreach_get("material_index", numbers)
     slots = head.material_slots
     for number, slot in enumerate(slots):
-        node = None if slot.material is None else colour_node(slot.material)
+        material = slot.material
+        node = None if material is None or material.library is not None else colour_node(material)
         own = np.minimum(numbers, len(slots) - 1) == number
         if node is not None and own.any():
             corners, places = Patch(Material(), faces[own], uv[own]).triangles()
