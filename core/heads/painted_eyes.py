@@ -22,7 +22,8 @@ _FIRST, _LAST = (-0.6, -0.8, -0.7), (1.6, 0.9, 0.7)
 _LARGEST = 192.0
 """Pixels per eye width in which skin is continued; larger images are covered by an enlarged layer."""
 _ALWAYS = (0.05, 0.12)
-"""Distances from the opening, in eye widths, up to which everything is painted over, and from which nothing is."""
+"""Distances from the opening, in eye widths, up to which everything is painted over, and from which nothing is. These
+and the following were chosen by looking at Jane, FaceGen's head; eyes drawn on three colours of skin confirm them."""
 _ABOVE, _BELOW = (0.28, 0.45), (0.10, 0.22)
 """Such distances above and below for what is much darker or lighter than skin. A brow may be .5 above."""
 _DARK, _LIGHT = (0.14, 0.34), (0.10, 0.25)
