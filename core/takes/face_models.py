@@ -133,7 +133,7 @@ def read_parameters(path: Path, model: Path, fps: float | None = None, marks: Ma
 
 
 def _moving_mesh(source: str, given: FaceParameters, model: Arrays) -> MovingMesh:
-    faces = np.asarray(model["f" if "f" in model else "triangles"], dtype=np.intp)
+    faces = np.asarray(model[next((name for name in ("f", "faces") if name in model), "triangles")], dtype=np.intp)
     notes: tuple[Message, ...] = (
         (Message("Not used: {names}", names=shown(", ".join(given.ignored))),) if given.ignored else ()
     )
