@@ -117,7 +117,9 @@ class _PlacesPoints(ReportsErrors):
         """Handle an event."""
         if not self._goes_on(context):
             self.cancel(context)
-            return {"FINISHED" if self._placing.changed else "CANCELLED", "PASS_THROUGH"}
+            # What has changed the mesh meanwhile is an undo step itself.
+            changed = self._placing.changed and self._placing.obj is not None
+            return {"FINISHED" if changed else "CANCELLED", "PASS_THROUGH"}
         if event.type == "ESC" and event.value == "PRESS":
             self._placing.discard()
             self.cancel(context)

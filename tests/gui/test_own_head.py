@@ -125,9 +125,7 @@ def test_the_painted_eyes_of_a_head_from_a_file_turn_after_a_click(blender, side
     assert blender.get("len(bpy.context.window_manager.facemime.findings)") == 0
     look_from_the_front(sidebar)
     blender.shot("painted-eyes-opened")
-    for _ in range(2):  # the check of the landmarks, which Find Face began, is a step of its own
-        blender.key("ctrl+z")
-        blender.redraw()
+    blender.key("ctrl+z")
     blender.wait_for("not [obj for obj in bpy.data.objects if 'Eye' in obj.name]")
 
 
