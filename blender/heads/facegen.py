@@ -107,9 +107,6 @@ def add_facegen(context: bpy.types.Context) -> bpy.types.Object:
         collection.objects.link(obj)
     head, _ = bind_character(objects[0])
     prepare_facegen(head)
-    for node in (node for obj in objects for node in _image_nodes(obj)):
-        if node.image is not None and node.image.packed_file is None:
-            node.image.pack()  # so that a saved file does not need the extension
     select_alone(context, head)
     return head
 
@@ -267,9 +264,12 @@ def _material(path: Path, *, textured: bool) -> bpy.types.Material:
     words = spaced(path.stem)
     look = next((look for word, look in _LOOKS if word in words), _SKIN)
     material = plain_material(path.stem, *look)
-    image = _texture(path) if textured else None
-    if image is not None:
-        show_image(material, bpy.data.images.load(str(image), check_existing=True))
+    file = _texture(path) if textured else None
+    if file is not None:
+        image = bpy.data.images.load(str(file), check_existing=True)
+        if file.parent == _JANE.parent and image.packed_file is None:
+            image.pack()  # so that a saved file does not need the extension
+        show_image(material, image)
     return material
 
 

@@ -174,6 +174,7 @@ def test_a_copy_of_her_file_elsewhere_looks_as_she_does(tmp_path):
     own, built_in = (image_of(obj).packed_file.data for obj in (objects[0], add_facegen(bpy.context)))
     assert own == built_in
     assert Path(image_of(objects[1]).filepath).name == "Mouth.png"
+    assert image_of(objects[1]).packed_file is not None, "a saved file does not need the extension"
 
 
 @pytest.mark.parametrize("brightness", [1.0, 1.6])
