@@ -248,8 +248,9 @@ WRITTEN = {
 """Arrays of the same motion, by who writes them so."""
 
 
-@pytest.mark.parametrize("names", WRITTEN)
-@pytest.mark.parametrize("suffix", [".npz", ".npy", ".pkl"])
+@pytest.mark.parametrize(
+    ("names", "suffix"), [*((names, ".npz") for names in WRITTEN), ("SMIRK", ".npy"), ("codes", ".pkl")]
+)
 def test_parameters_become_a_take_whoever_wrote_them(tmp_path, names, suffix):
     write_dense(tmp_path / "flame.npz")
     path = tmp_path / f"clip{suffix}"
