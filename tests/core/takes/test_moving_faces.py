@@ -249,7 +249,13 @@ WRITTEN = {
 
 
 @pytest.mark.parametrize(
-    ("names", "suffix"), [*((names, ".npz") for names in WRITTEN), ("SMIRK", ".npy"), ("codes", ".pkl")]
+    ("names", "suffix"),
+    [
+        ("NeRSemble", ".npz"),
+        ("BEAT2", ".npy"),
+        *(pytest.param(names, ".npz", marks=pytest.mark.thorough) for names in list(WRITTEN)[1:]),
+        pytest.param("codes", ".pkl", marks=pytest.mark.thorough),
+    ],
 )
 def test_parameters_become_a_take_whoever_wrote_them(tmp_path, names, suffix):
     write_dense(tmp_path / "flame.npz")
@@ -273,6 +279,7 @@ def test_parameters_become_a_take_whoever_wrote_them(tmp_path, names, suffix):
     assert ("relative to the hips" in notes) == (names in ("BEAT2", "SMPL-X"))
 
 
+@pytest.mark.thorough
 def test_the_rate_that_a_file_states_is_used_unless_another_is_given(tmp_path):
     write_dense(tmp_path / "flame.npz")
     np.savez(tmp_path / "clip.npz", expressions=OPEN, mocap_frame_rate=120.0)
@@ -281,7 +288,7 @@ def test_the_rate_that_a_file_states_is_used_unless_another_is_given(tmp_path):
     assert stated.times[1] == pytest.approx(1.0 / 120.0) and given.times[1] == pytest.approx(1.0 / 60.0)
 
 
-@pytest.mark.parametrize("name", ["verts", ""])
+@pytest.mark.parametrize("name", ["", pytest.param("verts", marks=pytest.mark.thorough)])
 def test_vertices_of_a_model_over_time_become_a_take(tmp_path, name):
     model = flame()
     np.savez(tmp_path / "flame.npz", v_template=model["v_template"], faces=model["f"])
