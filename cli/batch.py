@@ -176,6 +176,12 @@ def _run_batch(job: PuppetJob, sources: Sequence[Path], jobs: int, dask: str | N
     finally:
         runner.close()
         progress.finish()
+    # A clip may have been done just before the interruption: its record decides.
+    for number in todo if interrupted else ():
+        entry = _entry(named[number - unread], folder)
+        if entries[number].status == "not reached" and entry.status == "done":
+            entries[number] = entry
+            report.ended(number, entry)
     failed = [entry for entry in entries if entry.status == "failed"]
     for entry in failed:
         last = (entry.said.splitlines() or ["no reason was given"])[-1]

@@ -14,6 +14,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from facemime.cli import batch as cli_batch
 from facemime.cli import clips, runners
 from facemime.cli import main as cli
 from facemime.cli.clips import (
@@ -184,6 +185,38 @@ def test_a_clip_with_an_invalid_record_is_not_done(done, key, value):
     job, path, record = done
     path.write_text(json.dumps(record | {key: value}))
     assert read_record(job, path.parent) is None
+
+
+def test_a_clip_that_was_done_just_before_the_interruption_is_reported_as_done(tmp_path, monkeypatch):
+    for name in ("a.mp4", "b.mp4"):
+        (tmp_path / name).write_text(name)
+    out = tmp_path / "out"
+    job = PuppetJob(tmp_path / "a.mp4", out)
+
+    class Interrupted:
+        """Finishes the first clip, and is interrupted before it says so."""
+
+        def __init__(self, _: int) -> None:
+            pass
+
+        def run(self, paths, _):
+            clip = Namer(job, Checksums(out)).clip(Path(paths[0]))
+            clip.output(out, ".blend").write_bytes(b"x")
+            write_record(clip, out, performance(), 1.0, {"1": b"jpeg"})
+            raise KeyboardInterrupt
+            yield
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr(cli_batch, "LocalRunner", Interrupted)
+    assert cli_batch._run_batch(job, [tmp_path / "a.mp4", tmp_path / "b.mp4"], 1, None) == 130
+    assert json.loads((out / "report.json").read_text())["counts"] == {
+        "done": 1,
+        "skipped": 0,
+        "failed": 0,
+        "not reached": 1,
+    }
 
 
 def test_checksums_are_kept_by_size_and_time(tmp_path, monkeypatch):
