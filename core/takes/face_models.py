@@ -134,24 +134,25 @@ def read_parameters(path: Path, model: Path, fps: float | None = None, marks: Ma
 
 def _moving_mesh(source: str, given: FaceParameters, model: Arrays) -> MovingMesh:
     faces = np.asarray(model[next((name for name in ("f", "faces") if name in model), "triangles")], dtype=np.intp)
-    notes: tuple[Message, ...] = (
-        (Message("Not used: {names}", names=shown(", ".join(given.ignored))),) if given.ignored else ()
-    )
+    notes = [Message("Not used: {names}", names=shown(", ".join(given.ignored)))] if given.ignored else []
     if VERTICES in given:
         template = model["v_template" if "v_template" in model else "template_vertex_positions"]
-        frames = _offsets(given.arrays[VERTICES], len(template)) * TO_HEAD
+        places = _offsets(given.arrays[VERTICES], len(template)) * TO_HEAD
         _check_faces(faces, len(template))
-        return MovingMesh(source, frames[0], faces, frames, notes=notes)
-    rig = _flame(given, model) if "v_template" in model else _gnm(given, model)
+        known = np.isfinite(places).all(axis=(1, 2))
+        if not known.any():
+            raise SourceError("{source} has no frame with a face. Choose another file.", source=source)
+        frames = [place if whole else None for place, whole in zip(places, known, strict=True)]
+        return MovingMesh(source, places[known][0], faces, frames, notes=tuple(notes))
+    rig, turned = _upright(_flame(given, model) if "v_template" in model else _gnm(given, model))
     _check_faces(faces, len(rig.rest))
-    rig, turned = _upright(rig)
     if turned is not None:
-        notes += (
-            Message("The head was {angle:.0f} degrees from upright in the middle, and was turned.", angle=turned),
+        notes.append(
+            Message("The head was {angle:.0f} degrees from upright in the middle, and was turned.", angle=turned)
         )
-    if BODY in given or _is_body(given):
-        notes += (Message("Of the body, the turns of the head relative to the hips are used."),)
-    return MovingMesh(source, rig.rest * TO_HEAD, faces, rig, is_neutral=True, notes=notes)
+    if _is_body(given):
+        notes.append(Message("Of the body, the turns of the head relative to the hips are used."))
+    return MovingMesh(source, rig.rest * TO_HEAD, faces, rig, is_neutral=True, notes=tuple(notes))
 
 
 def _check_faces(faces: IntArray, count: int) -> None:

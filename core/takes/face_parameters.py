@@ -170,7 +170,7 @@ def read_arrays(path: Path, what: Message) -> dict[str, NDArray[Any]]:
                 with suppress(ValueError):  # an array of objects, which is not read
                     arrays[name] = archive[name]
         return {name: array for name, array in arrays.items() if array.dtype.kind in "biuf"}
-    except (OSError, ValueError, EOFError, TypeError, AttributeError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, EOFError, TypeError, AttributeError, MemoryError, zipfile.BadZipFile) as error:
         raise SourceError("{path} cannot be read as {what}: {error}.", path=path, what=what, error=error) from error
 
 

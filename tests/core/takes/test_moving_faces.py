@@ -215,6 +215,11 @@ def test_numbered_parameters_with_a_frame_each_become_a_take(tmp_path, monkeypat
     check(take)
 
 
+class Hostile:
+    def __reduce__(self):
+        return (exec, ("raise SystemExit('executed')",))
+
+
 def write_npy(path, table):
     np.save(path, np.array(table, dtype=object), allow_pickle=True)
 
@@ -301,6 +306,30 @@ def test_vertices_of_a_model_over_time_become_a_take(tmp_path, name):
     check(read_moving_face(path, 30.0, tmp_path / "flame.npz"))
 
 
+def huge(path):
+    """Write the header of an array that no memory can hold."""
+    with path.open("wb") as stream:
+        header = {"descr": "<f8", "fortran_order": False, "shape": (10**9, 10**6)}
+        np.lib.format.write_array_header_1_0(stream, header)
+
+
+@pytest.mark.parametrize(
+    ("write", "words"),
+    [
+        (lambda path: write_npy(path, {"exp": Hostile()}), "contains 'builtins.exec'"),
+        (huge, "cannot be read as parameters of a face"),
+        (lambda path: path.write_bytes(b"\x93NUMPY\x01\x00damaged"), "cannot be read as parameters of a face"),
+        (lambda path: np.save(path, np.full((2, 3 * len(REST)), np.nan)), "has no frame with a face"),
+        (lambda path: np.save(path, np.zeros((2, 5))), r"an offset has the shape \(2, 5\)"),
+    ],
+)
+def test_a_hostile_damaged_or_empty_npy_file_is_a_clear_error(tmp_path, write, words):
+    write_dense(tmp_path / "flame.npz")
+    write(tmp_path / "clip.npy")
+    with pytest.raises(SourceError, match=words):
+        read_moving_face(tmp_path / "clip.npy", 30.0, tmp_path / "flame.npz")
+
+
 def test_parameters_of_a_body_with_too_few_joints_are_an_error(tmp_path):
     write_dense(tmp_path / "flame.npz")
     np.savez(tmp_path / "clip.npz", expression=OPEN, body_pose=np.zeros((len(OPEN), 9)))
@@ -343,11 +372,6 @@ def test_expressions_of_gnm_become_a_take_by_its_landmarks_alone(tmp_path):
     lips = arkit_coefficients(take, calibrate(take))
     lower = lips[:, COEFFICIENTS.index("mouthLowerDownLeft")] + lips[:, JAW_OPEN]
     assert (np.diff(lower) > 0.1).all()
-
-
-class Hostile:
-    def __reduce__(self):
-        return (exec, ("raise SystemExit('executed')",))
 
 
 @pytest.mark.parametrize(
