@@ -83,10 +83,15 @@ class EyeOutline:
         """Convert (..., 3) points from the frame of the eye to that of the mesh."""
         return np.asarray(self.corner + self.width * local @ self.axes)
 
+    def lids(self, along: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Heights of the upper and the lower lid, (...), in widths, at shares (...) of the way to the inner corner."""
+        upper, lower = (along * (1.0 - along) * (bow + self.lean * (2.0 * along - 1.0)) for bow in self.bows)
+        return upper, lower
+
     def depth_within(self, local: FloatArray) -> FloatArray:
         """Vertical depth of points within the almond, (...), in widths; negative outside."""
-        along, up = local[..., 0], local[..., 1]
-        upper, lower = (along * (1.0 - along) * (bow + self.lean * (2.0 * along - 1.0)) for bow in self.bows)
+        up = local[..., 1]
+        upper, lower = self.lids(local[..., 0])
         return np.asarray(np.minimum(upper - up, up - lower))
 
 

@@ -121,7 +121,7 @@ def _layers(
     known = np.isfinite(x)
     x, y = np.where(known, x, 9.0), np.where(known, y, 9.0)
     within = np.clip(x, 0.0, 1.0)
-    upper, lower = (within * (1.0 - within) * (bow + outline.lean * (2.0 * within - 1.0)) for bow in outline.bows)
+    upper, lower = outline.lids(within)
     away = np.where(x == within, np.maximum(y - upper, lower - y), np.hypot(x - within, y))
     above = y > (upper + lower) / 2.0
     lightness = _blurred(image.astype(np.float64).mean(axis=2), density)

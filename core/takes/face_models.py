@@ -13,11 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import DataError, Message, SourceError
-from ..face.landmarks import IBUG68_INDICES, LOWER_LIPS, UPPER_LIPS, outer_eye_distance
 from ..face.rotation import fit_rotation
 from ..files.capture import check_readable
 from ..files.reading import shown
-from ..heads.rig import neck_of
 from ..numeric.arrays import FloatArray, IntArray
 from .face_parameters import (
     BODY,
@@ -40,13 +38,14 @@ from .face_parameters import (
     VERTICES,
     Arrays,
     FaceParameters,
+    check_shapes,
     read_arrays,
     read_parameters_file,
 )
-from .measured import FacePoints, PointTracker, describe_animation
+from .landmark_model import take_of_landmarks
 from .moving_mesh import TO_HEAD, MovingMesh, take_of_mesh
 from .numbered_meshes import numbered_files, read_numbered
-from .take import Take, TakeRecorder
+from .take import Take
 
 FPS = 30.0
 """Rate of a sequence that states none."""
@@ -64,18 +63,6 @@ _SPINE = (3, 6, 9, 12, 15)
 """Joints of SMPL-X from the hips to the head."""
 _UPRIGHT = np.radians(60.0)
 """Mean rotation above which a head is not upright in the axes of its file, whose y may point down, or z up."""
-_EYES_APART = 0.09
-"""Distance between the outer corners of a face's eyes in metres, the unit of the modes of GNM's landmarks."""
-_MEDIAPIPE = (
-    *(127, 234, 93, 58, 172, 136, 150, 149, 152, 378, 379, 365, 397, 288, 323, 454, 356),
-    *(70, 63, 105, 66, 107, 336, 296, 334, 293, 300),
-    *(168, 197, 5, 4, 98, 97, 2, 326, 327),
-    *(33, 160, 158, 133, 153, 144, 362, 385, 387, 263, 373, 380),
-    *(61, 39, 37, 0, 267, 269, 291, 321, 314, 17, 84, 91),
-    *(61, 37, 0, 267, 291, 314, 17, 84),
-)
-"""Point of MediaPipe's face mesh for each iBUG-68 landmark, among those that GNM's landmarks have: the inner rims of
-the lips are those of the outer ones."""
 
 
 def is_moving_face(path: Path) -> bool:
@@ -121,7 +108,7 @@ def read_parameters(path: Path, model: Path, fps: float | None = None, marks: Ma
     rate = fps or given.fps or FPS
     try:
         if "expression_modes" in known:
-            return _take_of_landmarks(path.name, given, known, rate)
+            return take_of_landmarks(path.name, given, known, rate)
         mesh = _moving_mesh(path.name, given, known)
     except KeyError as error:
         raise SourceError("{path} is not a face model: it has no {name}.", path=model, name=error.args[0]) from error
@@ -227,10 +214,10 @@ def _flame(given: FaceParameters, model: Arrays) -> _Rig:
     parents = np.array([0, *model["kintree_table"][0][1:].astype(np.intp)])
     count, joints = len(template), len(parents)
     correctives = np.asarray(model["posedirs"], dtype=np.float64).reshape(count, 3, -1)
-    _check(
+    check_shapes(
         template=(template, (count, 3)), J_regressor=(regressor, (joints, count)), weights=(weights, (count, joints))
     )
-    _check(posedirs=(correctives, (count, 3, 9 * (joints - 1))), shapedirs=(directions[..., 0], (count, 3)))
+    check_shapes(posedirs=(correctives, (count, 3, 9 * (joints - 1))), shapedirs=(directions[..., 0], (count, 3)))
     _check_tree(parents)
     if joints != 5:
         raise DataError("the model has {joints} joints, and FLAME has 5", joints=joints)
@@ -329,7 +316,7 @@ def _gnm(given: FaceParameters, model: Arrays) -> _Rig:
     identities, joint_identities = model["vertex_identity_basis"], model["joint_identity_basis"]
     weights = np.asarray(model["skinning_weights"], dtype=np.float64).T
     parents = np.array([0, *model["joint_parent_indices"][1:].astype(np.intp)])
-    _check(expression_basis=(modes[0], template.shape), skinning_weights=(weights, (len(template), len(joints))))
+    check_shapes(expression_basis=(modes[0], template.shape), skinning_weights=(weights, (len(template), len(joints))))
     _check_tree(parents)
     shape = given.rows(IDENTITY, len(identities))[0]
     turns = given.turns(ROOT) if ROOT in given else np.zeros((given.count, len(joints), 3))
@@ -349,15 +336,6 @@ def _gnm(given: FaceParameters, model: Arrays) -> _Rig:
     )
 
 
-def _check(**arrays: tuple[FloatArray, tuple[int, ...]]) -> None:
-    """Raise ValueError if an array of the model has another shape than expected, or contains NaN."""
-    for name, (array, shape) in arrays.items():
-        if array.shape != shape or not np.isfinite(array).all():
-            raise DataError(
-                "{name} has the shape {shape}, not {expected}", name=name, shape=array.shape, expected=shape
-            )
-
-
 def _check_tree(parents: IntArray) -> None:
     """Raise ValueError unless every joint but the first comes after its parent."""
     if not ((parents[1:] >= 0) & (parents[1:] < np.arange(1, len(parents)))).all():
@@ -371,31 +349,3 @@ def _offsets(value: NDArray[Any], count: int) -> FloatArray:
     if rows.shape[1:] != (count, 3):
         raise DataError("an offset has the shape {shape}, for {count} vertices", shape=value.shape, count=count)
     return rows
-
-
-def _take_of_landmarks(source: str, given: FaceParameters, model: Arrays, fps: float) -> Take:
-    """Return the take of GNM's expressions, by its landmarks alone; the head does not turn."""
-    places, modes = np.asarray(model["rest"], dtype=np.float64), np.asarray(model["expression_modes"], np.float64)
-    anchors = {int(point): place for place, point in enumerate(model["mediapipe_index"].tolist())}
-    if lacking := sorted(set(_MEDIAPIPE) - anchors.keys()):
-        raise DataError("it has no landmark {number}", number=lacking[0])
-    _check(rest=(places, (len(anchors), 3)), expression_modes=(modes, (len(modes), len(anchors), 3)))
-    expressions = given.rows(EXPRESSION, len(modes))
-    if IDENTITY in given and "identity_modes" in model:
-        own = np.asarray(model["identity_modes"], dtype=np.float64)
-        width = max(len(own), given.arrays[IDENTITY].size)
-        places = places + np.tensordot(given.rows(IDENTITY, width)[0][: len(own)], own, 1)
-    chosen = np.array([anchors[point] for point in _MEDIAPIPE])[IBUG68_INDICES]
-    rest = places[chosen] * TO_HEAD
-    rest[UPPER_LIPS] = rest[LOWER_LIPS] = (rest[UPPER_LIPS] + rest[LOWER_LIPS]) / 2.0
-    unit = outer_eye_distance(rest) / _EYES_APART
-    tracker = PointTracker(FacePoints(rest, rest), neck_of(rest), np.ones(len(rest)))
-    recorder = TakeRecorder(describe_animation(source, fps))
-    for number, values in enumerate(expressions):
-        moved = rest + unit * np.tensordot(values, modes[:, chosen], 1) * TO_HEAD
-        recorder.append(number / fps, tracker.result(FacePoints(moved, moved), np.eye(3), np.zeros(3)))
-    take = tracker.finish(recorder)
-    take.info["notes"] = [
-        Message("By GNM's landmarks alone, the inner rims of the lips move as the outer ones, and the head is still.")
-    ]
-    return take

@@ -224,3 +224,12 @@ def _named(path: Path) -> FaceParameters:
             "{path} contains no expression, such as expr, expression or exp. Choose another file.", path=path
         )
     return FaceParameters(arrays, names, tuple(sorted(given.keys() - set(names.values()))))
+
+
+def check_shapes(**arrays: tuple[FloatArray, tuple[int, ...]]) -> None:
+    """Raise ValueError if an array of the model has another shape than expected, or contains NaN."""
+    for name, (array, shape) in arrays.items():
+        if array.shape != shape or not np.isfinite(array).all():
+            raise DataError(
+                "{name} has the shape {shape}, not {expected}", name=name, shape=array.shape, expected=shape
+            )
