@@ -143,7 +143,7 @@ class _Maker:
     def motions(self, keys: KeySet, progress: Callable[[float], None], refine: Refine) -> NDArray[np.float32]:
         """Return the displacements of the vertices of the skin, (K, V, 3)."""
         skin, moves = self._skin, self._source.motions.any(axis=(1, 2))
-        made = transferred(self._source.motions, skin.vertices, skin.landmarks, skin.region_weights)
+        made = transferred(self._source.motions, skin.vertices, skin.faces, skin.landmarks, skin.region_weights)
         near = _near(self._rest, self._points, skin.eye_distance)
         for row in range(len(made)):
             follows = self._followed(made[row, skin.landmarks])

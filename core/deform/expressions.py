@@ -20,6 +20,7 @@ from ..face.landmarks import N_LANDMARKS, outer_eye_distance
 from ..files.archives import open_shipped
 from ..files.assets import ASSETS
 from ..heads.built_in import load_head
+from ..heads.rims import N_RIM_PLACES, corresponding, rim_places
 from ..mesh.kernels import Warp, distances
 from ..mesh.surface import NearestPoints
 from ..numeric import linalg
@@ -27,7 +28,7 @@ from ..numeric.arrays import FloatArray, IntArray
 from ..numeric.linalg import multiply
 from .covariance import SkinCovariance, skin_covariance
 
-FORMAT = "facemime-expressions-1"
+FORMAT = "facemime-expressions-2"
 EXPRESSIONS_FILE = ASSETS / "expressions" / "ict.npz"
 
 LEARNT_WEIGHT = 0.7
@@ -66,19 +67,28 @@ class ExpressionModel:
         Features whose inner products are the correlations of motion.
     landmarks : (66, 3) float32
         Positions of the landmarks in the frame of `places`.
+    rims : (64, 3) float32
+        Positions along the rims of lids and lips in that frame, as of `rim_places`.
     """
 
     places: NDArray[np.float32]
     sides: NDArray[np.float32]
     features: NDArray[np.float32]
     landmarks: NDArray[np.float32]
+    rims: NDArray[np.float32]
 
-    def transfer(self, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray) -> NDArray[np.float32]:
-        """Transfer the features to the vertices of another head, (V, K); 0 at vertices that no region moves."""
+    def transfer(
+        self, vertices: FloatArray, faces: IntArray | None, landmarks: IntArray, region_weights: FloatArray
+    ) -> NDArray[np.float32]:
+        """Transfer the features to the vertices of another head, (V, K); 0 at vertices that no region moves.
+
+        Its rims are known only with its faces.
+        """
         places = _normalised(vertices, landmarks)
         moving = np.flatnonzero(region_weights.any(axis=0))
         features = np.zeros((len(places), self.features.shape[1]), dtype=np.float32)
-        features[moving] = self._at(places[moving], _sides(region_weights)[moving], places[landmarks])
+        rims = rim_places(places, faces, landmarks)
+        features[moving] = self._at(places[moving], _sides(region_weights)[moving], places[landmarks], rims)
         return features
 
     def joined(self, other: ExpressionModel) -> ExpressionModel:
@@ -86,18 +96,24 @@ class ExpressionModel:
 
         The features of the other one are transferred to the places of this one, which is the more accurate here.
         """
-        features = np.concatenate([self.features, other._at(self.places, self.sides, self.landmarks)], axis=1)
+        features = np.concatenate(
+            [self.features, other._at(self.places, self.sides, self.landmarks, self.rims)], axis=1
+        )
         return replace(self, features=np.float32(np.sqrt(0.5)) * features)
 
-    def _at(self, places: FloatArray, sides: FloatArray, landmarks: FloatArray) -> NDArray[np.float32]:
-        """Features (V, K) at `places` (V, 3) with `sides` (V, 3) of a head whose landmarks lie at `landmarks` (66, 3).
+    def _at(
+        self, places: FloatArray, sides: FloatArray, landmarks: FloatArray, rims: FloatArray
+    ) -> NDArray[np.float32]:
+        """Features (V, K) at `places` (V, 3) with `sides` (V, 3) of a head with `landmarks` (66, 3) and `rims` (64, 3).
 
-        The places are warped to the known head, where the features are interpolated between the nearest places of the
-        same region by moving least squares of first order (Lancaster and Salkauskas 1981). A mean by inverse distances
-        would be simpler, but it is flat at each place and jumps where the nearest ones change, which shows as ripples
-        on a dense mesh.
+        The places are warped to the known head by landmarks and rims. Landmarks alone carry lips and lids between them
+        beside those of the known head, where motion is quite different: an open mouth would be a diamond. In the known
+        head, features are interpolated between the nearest places of the same region by moving least squares of first
+        order (Lancaster and Salkauskas 1981). A mean by inverse distances would be simpler, but it is flat at each
+        place and jumps where the nearest ones change, which shows as ripples on a dense mesh.
         """
-        warped = Warp(landmarks, self.landmarks)(places).astype(np.float32)
+        warp = Warp(*corresponding((landmarks, rims), (self.landmarks, self.rims)))
+        warped = warp(places).astype(np.float32)
         known = NearestPoints(_with_sides(self.places, self.sides))
         nearest, squared = known.query(_with_sides(warped, sides), _NEIGHBOURS + 1)
         features = np.empty((len(places), self.features.shape[1]), dtype=np.float32)
@@ -111,6 +127,7 @@ class ExpressionModel:
 
 def learn(
     vertices: FloatArray,
+    faces: IntArray,
     landmarks: IntArray,
     region_weights: FloatArray,
     motions: FloatArray,
@@ -130,14 +147,20 @@ def learn(
     alike = flat / (np.sqrt(3.0) * size)
     # Project to the strongest singular vectors.
     _, axes = linalg.eigh(alike.T @ alike)
-    return _model_of(vertices, landmarks, region_weights, moving, alike @ axes[:, ::-1][:, :_FEATURES])
+    return _model_of(vertices, faces, landmarks, region_weights, moving, alike @ axes[:, ::-1][:, :_FEATURES])
 
 
 def _model_of(
-    vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray, moving: IntArray, features: FloatArray
+    vertices: FloatArray,
+    faces: IntArray,
+    landmarks: IntArray,
+    region_weights: FloatArray,
+    moving: IntArray,
+    features: FloatArray,
 ) -> ExpressionModel:
     places, sides = _normalised(vertices, landmarks), _sides(region_weights)
-    parts = places[moving], sides[moving], features, places[landmarks]
+    rims = rim_places(places, faces, landmarks)
+    parts = places[moving], sides[moving], features, places[landmarks], rims
     return ExpressionModel(*(part.astype(np.float32) for part in parts))
 
 
@@ -145,7 +168,7 @@ def _model_of(
 def shipped_expressions() -> ExpressionModel:
     """Return the model of the two known heads: the built-in one and ICT-FaceKit's."""
     head = load_head()
-    return learn(head.vertices, head.landmarks, head.regions, head.units).joined(load_expressions())
+    return learn(head.vertices, head.faces, head.landmarks, head.regions, head.units).joined(load_expressions())
 
 
 def learnt_covariance(
@@ -161,7 +184,7 @@ def learnt_covariance(
     with features h (equation 5.7).
     """
     with ThreadPoolExecutor(1) as thread:  # NumPy and OpenCV work outside Python's lock
-        transferring = thread.submit(model.transfer, vertices, landmarks, region_weights)
+        transferring = thread.submit(model.transfer, vertices, faces, landmarks, region_weights)
         skin = skin_covariance(vertices, faces, landmarks, region_weights)
         features = transferring.result()
     places = _normalised(vertices, landmarks)
@@ -190,11 +213,16 @@ def load_expressions(path: Path = EXPRESSIONS_FILE) -> ExpressionModel:
             sides=archive.floats("sides", (len(places), 3), np.float32),
             features=archive.floats("features", (len(places), None), np.float32),
             landmarks=archive.floats("landmarks", (N_LANDMARKS, 3), np.float32),
+            rims=archive.floats("rims", (N_RIM_PLACES, 3), np.float32),
         )
 
 
 def transferred(
-    motions: FloatArray, vertices: FloatArray, landmarks: IntArray, region_weights: FloatArray
+    motions: FloatArray,
+    vertices: FloatArray,
+    faces: IntArray | None,
+    landmarks: IntArray,
+    region_weights: FloatArray,
 ) -> NDArray[np.float32]:
     """Transfer displacements (E, B, 3) of the built-in head in metres to another head, in the unit of its vertices.
 
@@ -204,8 +232,8 @@ def transferred(
     moving = np.flatnonzero(known.regions.any(axis=0))
     flat = motions[:, moving].transpose(1, 0, 2).reshape(len(moving), -1)
     flat = flat / outer_eye_distance(known.vertices[known.landmarks])
-    model = _model_of(known.vertices, known.landmarks, known.regions, moving, flat)
-    out = model.transfer(vertices, landmarks, region_weights).reshape(len(vertices), -1, 3).transpose(1, 0, 2)
+    model = _model_of(known.vertices, known.faces, known.landmarks, known.regions, moving, flat)
+    out = model.transfer(vertices, faces, landmarks, region_weights).reshape(len(vertices), -1, 3).transpose(1, 0, 2)
     unit = outer_eye_distance(np.asarray(vertices, dtype=np.float64)[landmarks])
     return np.ascontiguousarray(out * np.float32(unit))
 

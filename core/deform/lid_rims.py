@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..face.landmarks import EYE_LEFT, EYE_RIGHT, outer_eye_distance
-from ..mesh.surface import NearestPoints, SurfaceGraph
+from ..face.landmarks import outer_eye_distance
+from ..heads.rims import EYES, Rim, Slit, rims_of
+from ..mesh.surface import NearestPoints
 from ..numeric.arrays import FloatArray, IntArray
 from .blocks import RegionMatrix
 
-_NEAR = 0.15
-"""Margin around the landmarks of an eye, in outer-eye distances, within which its rims and its lid are sought."""
 _REACH = 0.12
 """Distance from the rim, in outer-eye distances, within which the lid follows it."""
 _NEIGHBOURS = 8
@@ -28,8 +27,6 @@ _BLUR = 0.01
 they count alike."""
 _MOST = 0.5
 """Largest correction relative to the opening of the eye, in case a rim is not where its landmarks say."""
-_SHUT = 0.01
-"""Opening of a lid in outer-eye distances below which the eye counts as modelled shut."""
 
 Response = Callable[[NDArray[np.intp]], FloatArray]
 """Returns rows of the matrix of a deformer, (N, 66), for vertices (N,)."""
@@ -41,31 +38,27 @@ class LidRims:
 
     Attributes
     ----------
-    landmarks : (6,) intp
-        Landmarks of the eye in iBUG's order: a corner, the upper lid, the other corner, the lower lid.
+    slit : Slit
+        Landmarks of the eye.
     places : (V, 3) float64
         Vertices at rest.
     points : (66, 3) float64
         Landmarks at rest.
-    upper, lower : (N,), (M,) intp
-        Vertices of the rims from the first corner to the second.
-    upper_at, lower_at : (N,), (M,) float64
-        Their positions along the rim: 0 at the first corner, 1 and 2 at the landmarks, 3 at the second corner.
+    upper, lower : Rim
+        The rims, with positions 0 at the first corner, 1 and 2 at the landmarks, and 3 at the second corner.
     rows : (R,) intp
         Vertices that are corrected.
     nearest : (R, K) intp
-        Indices into `upper` that each of them follows.
+        Indices into the upper rim that each of them follows.
     spread : (R, K) float64
         Their weights.
     """
 
-    landmarks: NDArray[np.intp]
+    slit: Slit
     places: FloatArray
     points: FloatArray
-    upper: NDArray[np.intp]
-    lower: NDArray[np.intp]
-    upper_at: FloatArray
-    lower_at: FloatArray
+    upper: Rim
+    lower: Rim
     rows: NDArray[np.intp]
     nearest: NDArray[np.intp]
     spread: FloatArray
@@ -79,7 +72,7 @@ class LidRims:
         addition, where d_j and e_j are the displacements of the landmarks of the upper and the lower lid, and w_j is
         the weight of the pair at its position along the rim.
         """
-        upper, lower = self.landmarks[[1, 2]], self.landmarks[[5, 4]]
+        upper, lower = self.slit.upper[1:3], self.slit.lower[1:3]
         gaps = self.points[lower] - self.points[upper]
         sizes = np.linalg.norm(gaps, axis=1)
         down = gaps.sum(axis=0) / np.linalg.norm(gaps.sum(axis=0))
@@ -89,12 +82,12 @@ class LidRims:
 
         # Where both rims come to lie when the landmarks of the upper lid meet those of the lower; the lower rim is
         # sampled at the positions of the upper one.
-        rim = closed(self.lower)
-        wanted = np.stack([np.interp(self.upper_at, self.lower_at, rim[:, i]) for i in range(3)], axis=1)
+        rim = closed(self.lower.vertices)
+        wanted = np.stack([np.interp(self.upper.at, self.lower.at, rim[:, i]) for i in range(3)], axis=1)
         most = _MOST * float(sizes.mean())
-        lacking = np.clip((wanted - closed(self.upper)) @ down, -most, most)
+        lacking = np.clip((wanted - closed(self.upper.vertices)) @ down, -most, most)
         # w_1 and w_2 of equation 5.8: linear between the landmarks at 1 and 2, constant towards the corners.
-        second = np.clip(self.upper_at - 1.0, 0.0, 1.0)
+        second = np.clip(self.upper.at - 1.0, 0.0, 1.0)
         share = lacking[:, None] * np.stack([1.0 - second, second], axis=1) / sizes
         moved = (self.spread[:, None] @ share[self.nearest])[:, 0].astype(np.float32)
         return RegionMatrix(self.rows, np.concatenate([upper, lower]), np.concatenate([moved, -moved], axis=1))
@@ -112,46 +105,20 @@ def lid_rims(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_
     shares = np.asarray(region_weights, dtype=np.float64)
     above = shares[0] / np.maximum(shares.sum(axis=0), 1e-9)
     found = []
-    for eye in (EYE_RIGHT, EYE_LEFT):
-        if np.linalg.norm(points[eye[[5, 4]]] - points[eye[[1, 2]]], axis=1).min() < _SHUT * unit:
+    for slit in EYES:
+        if (rims := rims_of(places, np.asarray(faces), landmarks, slit)) is None:
             continue
-        low, high = points[eye].min(axis=0) - _NEAR * unit, points[eye].max(axis=0) + _NEAR * unit
-        near = np.flatnonzero(((places > low) & (places < high)).all(axis=1))
-        graph, own = _part(places, np.asarray(faces), near)
-        ends = own[landmarks[eye]]
-        (upper, upper_at), (lower, lower_at) = (_rim(graph, ends[lid]) for lid in ([0, 1, 2, 3], [0, 5, 4, 3]))
-        if np.isin(upper[1:-1], lower[1:-1]).any():
-            continue
+        upper, lower = rims
         # The lid follows its rim, which is met exactly, and fades into the brow and the other lid.
-        rim = NearestPoints(places[near[upper]])
-        nearest, squared = rim.query(places[near], min(_NEIGHBOURS, len(upper)))
-        share = above[near] * np.square(np.maximum(1.0 - squared[:, 0] / (_REACH * unit) ** 2, 0.0))
-        share[upper] = 1.0
+        rim, reach = places[upper.vertices], _REACH * unit
+        near = np.flatnonzero(((places > rim.min(axis=0) - reach) & (places < rim.max(axis=0) + reach)).all(axis=1))
+        nearest, squared = NearestPoints(rim).query(places[near], min(_NEIGHBOURS, len(rim)))
+        share = above[near] * np.square(np.maximum(1.0 - squared[:, 0] / reach**2, 0.0))
+        on_rim = np.searchsorted(near, upper.vertices)
+        share[on_rim] = 1.0
         lid = np.flatnonzero(share)
         spread = 1.0 / np.square(squared[lid] + (_BLUR * unit) ** 2)
         spread *= (share[lid] / spread.sum(axis=1))[:, None]
-        on_rim = np.searchsorted(lid, upper)
-        spread[on_rim], nearest[upper, 0] = np.eye(1, spread.shape[1]), np.arange(len(upper))
-        found.append(
-            LidRims(eye, places, points, near[upper], near[lower], upper_at, lower_at, near[lid], nearest[lid], spread)
-        )
+        spread[np.searchsorted(lid, on_rim)], nearest[on_rim, 0] = np.eye(1, spread.shape[1]), np.arange(len(rim))
+        found.append(LidRims(slit, places, points, upper, lower, near[lid], nearest[lid], spread))
     return found
-
-
-def _part(places: FloatArray, faces: IntArray, kept: NDArray[np.intp]) -> tuple[SurfaceGraph, NDArray[np.intp]]:
-    """Graph of the vertices `kept` and the faces between them, and the number of each vertex in it, -1 outside."""
-    own = np.full(len(places) + 1, -1)
-    own[kept] = np.arange(len(kept))
-    inside = own[faces]
-    return SurfaceGraph(places[kept], inside[((inside >= 0) | (faces < 0)).all(axis=1)]), own
-
-
-def _rim(graph: SurfaceGraph, ends: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray]:
-    """Vertices of the path through four landmarks, and their positions along it, 0 to 3."""
-    rim, at = [int(ends[0])], [0.0]
-    for section in range(3):
-        path = graph.path(int(ends[section]), int(ends[section + 1]))
-        steps = np.linalg.norm(np.diff(graph.vertices[path], axis=0), axis=1)
-        rim += path[1:]
-        at += (section + np.cumsum(steps) / max(float(steps.sum()), 1e-12)).tolist()
-    return np.array(rim), np.array(at)

@@ -27,7 +27,7 @@ def action_modes(rig: HeadRig, deformer: RBFDeformer) -> NDArray[np.float32]:
     where they were tracked. Displacements are those at activation 1, in the head frame and the unit of the mesh; those
     of the tongue, which is not part of the skin, are 0.
     """
-    modes = transferred(_units(), rig.vertices, rig.landmarks, rig.region_weights)
+    modes = transferred(_units(), rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
     for _ in range(2):  # twice, as the deformer meets its landmarks only approximately
         modes -= np.stack([deformer.deform(mode[rig.landmarks]) for mode in modes]) - deformer.rest
     return modes

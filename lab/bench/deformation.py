@@ -38,7 +38,9 @@ def main() -> int:
     models = [load_expressions()]
     if has_heads(arguments.data):
         heads.insert(0, ict_head(arguments.data))
-        models = [learn(head.vertices, head.landmarks, head.regions, head.motions) for head in reversed(heads)]
+        models = [
+            learn(head.vertices, head.faces, head.landmarks, head.regions, head.motions) for head in reversed(heads)
+        ]
     else:
         print(
             f"{arguments.data} has no {ICT_FILE}; only the built-in head is measured.",

@@ -57,7 +57,7 @@ def learn_ict(data: Path) -> ExpressionModel:
     right = np.flatnonzero(regions.any(axis=0) & (vertices[:, 0] <= 1e-4))[::_EVERY]
     _, across = cKDTree(vertices).query(vertices[right] * [-1, 1, 1])
     kept = np.union1d(right, across)
-    return learn(vertices, head.landmarks, regions, head.expression[chosen][:, FACE], kept)
+    return learn(vertices, triangles, head.landmarks, regions, head.expression[chosen][:, FACE], kept)
 
 
 def model_bytes(model: ExpressionModel) -> bytes:
@@ -69,6 +69,7 @@ def model_bytes(model: ExpressionModel) -> bytes:
             "sides": model.sides.astype(np.float16),
             "features": model.features.astype(np.float16),
             "landmarks": model.landmarks,
+            "rims": model.rims,
         }
     )
 

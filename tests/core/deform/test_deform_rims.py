@@ -47,8 +47,8 @@ def widest_gap(rims: list[LidRims], places: NDArray[np.floating]) -> float:
     """Largest distance down the face between the rims of both eyes."""
     gaps = []
     for rim in rims:
-        lower = np.interp(rim.upper_at, rim.lower_at, places[rim.lower, 1])
-        gaps.append(np.abs(lower - places[rim.upper, 1]).max())
+        lower = np.interp(rim.upper.at, rim.lower.at, places[rim.lower.vertices, 1])
+        gaps.append(np.abs(lower - places[rim.upper.vertices, 1]).max())
     return float(max(gaps))
 
 
@@ -83,18 +83,19 @@ def test_landmarks_and_skin_away_from_the_lids_move_as_without_rims(rig):
 def test_eyes_that_are_shut_or_joined_to_their_lids_have_no_rims(rig):
     places = np.array(rig.vertices, dtype=np.float64)
     places[rig.landmarks[UPPER_LIDS[:2]]] = places[rig.landmarks[LOWER_LIDS[:2]]]
-    assert [rim.landmarks[0] for rim in rims_of(replace(rig, vertices=places))] == [EYE_LEFT[0]]
+    assert [rim.slit.upper[0] for rim in rims_of(replace(rig, vertices=places))] == [EYE_LEFT[0]]
     rims, faces = rims_of(rig), np.array(rig.faces)
     for rim in rims:
-        between = ~np.isin(rim.lower, rig.landmarks)
-        for vertex, at in zip(rim.lower[between], rim.lower_at[between], strict=True):
-            faces[faces == vertex] = rim.upper[np.abs(rim.upper_at - at).argmin()]
+        between = ~np.isin(rim.lower.vertices, rig.landmarks)
+        for vertex, at in zip(rim.lower.vertices[between], rim.lower.at[between], strict=True):
+            faces[faces == vertex] = rim.upper.vertices[np.abs(rim.upper.at - at).argmin()]
     assert rims_of(replace(rig, faces=faces)) == []
 
 
 def test_a_rim_in_the_wrong_place_moves_no_more_than_half_the_opening(rig):
     rims = rims_of(rig)
-    astray = [replace(rim, lower=np.full_like(rim.lower, rig.landmarks[0])) for rim in rims]
+    corner = rig.landmarks[0]
+    astray = [replace(rim, lower=replace(rim.lower, vertices=np.full_like(rim.lower.vertices, corner))) for rim in rims]
     without, found = (deformer(rig, used).deform(shutting(rig)) for used in ([], astray))
     opening = np.linalg.norm(shutting(rig)[UPPER_LIDS], axis=1).max()
     assert np.linalg.norm(found - without, axis=1).max() < 0.75 * opening
