@@ -71,11 +71,12 @@ vec3 rode(vec3 start, int point) {
     vec3 along = dot(axis, arm) * axis;
     return middle.xyz + shift + along + sqrt(1.0 - sine * sine) * (arm - along) + sine * cross(axis, arm);
 }
-float least(int point) {
-    vec4 corners = texelFetch(gums, at(2 * point, WIDTH), 0), weights = texelFetch(gums, at(2 * point + 1, WIDTH), 0);
-    float depth = corners.w;
-    for (int k = 0; k < 3; k++) depth += weights[k] * texelFetch(skin, at(int(corners[k]), WIDTH), 0).z;
-    return depth;
+float least(int point, vec2 across) {
+    vec4 corners = texelFetch(gums, at(3 * point, WIDTH), 0), weights = texelFetch(gums, at(3 * point + 1, WIDTH), 0);
+    vec3 slopes = texelFetch(gums, at(3 * point + 2, WIDTH), 0).xyz, moved = vec3(0.0);
+    for (int k = 0; k < 3; k++) moved += weights[k] * texelFetch(skin, at(int(corners[k]), WIDTH), 0).xyz;
+    vec2 beside = across - moved.xy;
+    return corners.w + moved.z + dot(slopes.xy, beside) + slopes.z * length(beside);
 }
 void main() {
     int vertex = mine(WIDTH);
@@ -90,7 +91,7 @@ void main() {
     else if (kind == 6) offset.xyz = turned(start + tongue * texelFetch(tongues, at(source, WIDTH), 0).xyz, 2) - start;
     else if (kind == 7) {
         vec3 place = turned(start, 2);
-        offset.xyz = vec3(place.xy, max(place.z, least(source))) - start;
+        offset.xyz = vec3(place.xy, max(place.z, least(source, place.xy - start.xy))) - start;
     }
 }
 `;

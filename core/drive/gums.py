@@ -17,6 +17,12 @@ from ..numeric.arrays import FloatArray, IntArray
 _APART = 0.06
 """Distance from the skin, in outer-eye distances, that is kept unless they are closer at rest. Chosen on one avatar,
 where at 0.02 triangles between the vertices still came out; an anime figure confirms it."""
+_UNSURE = 0.25
+"""Share of the distance across the face by which a vertex has moved from the skin before it, that is kept in addition:
+skin is no plane."""
+_STEEPEST = 1.0
+"""Largest slope of the skin, depth over distance across the face, at which it counts: on the edge of a lip it is too
+steep to tell its depth beside."""
 _DEEPEST = 0.2
 """Distance from the skin beyond which they are left alone. A broad smile draws the lip of that avatar back by 0.06."""
 
@@ -44,22 +50,42 @@ class Gums:
         self.rows, self._corners = rows[near], corners[near]
         self._weights = weights[near].astype(np.float32)
         self._apart = np.minimum(room[near], _APART * unit).astype(np.float32)
-        self._rest = np.asarray(skin.vertices, dtype=np.float32)[:, 2]
+        self._rest = np.asarray(skin.vertices, dtype=np.float32)
+        self._start = rig.all_vertices[self.rows, :2].astype(np.float32)
+        self._slopes = _slopes(self._rest[self._corners].astype(np.float64)).astype(np.float32)
 
     def table(self) -> NDArray[np.float32]:
-        """Return what `hold` uses, for evaluation in another program, (G, 2, 4).
+        """Return what `hold` uses, for evaluation in another program, (G, 3, 4).
 
         First the corners of the triangle of the skin before each vertex, and the least depth of the vertex at rest;
-        then their weights, and 0. The least depth moves with the weighted mean of the corners.
+        then their weights, and 0; last the slopes of the skin along x and y, the share of the distance that it has slid
+        across the vertex, and 0.
         """
-        least = np.einsum("gk,gk->g", self._weights, self._rest[self._corners]) + self._apart
-        corners = np.column_stack([self._corners, least])
-        return np.asarray(np.stack([corners, np.pad(self._weights, ((0, 0), (0, 1)))], axis=1), dtype=np.float32)
+        corners = np.column_stack([self._corners, self._least()])
+        rows = [corners, *(np.pad(own, ((0, 0), (0, 4 - own.shape[1]))) for own in (self._weights, self._slopes))]
+        rows[2][:, 2] = _UNSURE
+        return np.asarray(np.stack(rows, axis=1), dtype=np.float32)
 
     def hold(self, out: NDArray[np.float32], skin: NDArray[np.float32]) -> None:
         """Move gums among the vertices of a head (A, 3) back behind its skin (U, 3), in place."""
-        before = np.einsum("gk,gk->g", self._weights, skin[:, 2][self._corners])
-        out[self.rows, 2] = np.maximum(out[self.rows, 2], before + self._apart)
+        moved = np.einsum("gk,gkc->gc", self._weights, (skin - self._rest)[self._corners])
+        beside = out[self.rows, :2] - self._start - moved[:, :2]
+        away = np.sqrt(np.square(beside).sum(axis=1))
+        depth = self._least() + moved[:, 2] + (self._slopes * beside).sum(axis=1) + np.float32(_UNSURE) * away
+        out[self.rows, 2] = np.maximum(out[self.rows, 2], depth)
+
+    def _least(self) -> NDArray[np.float32]:
+        """Least depth of each vertex at rest, (G,)."""
+        return np.asarray(np.einsum("gk,gk->g", self._weights, self._rest[self._corners][:, :, 2]) + self._apart)
+
+
+def _slopes(triangles: FloatArray) -> FloatArray:
+    """Increase of depth along x and y on triangles (G, 3, 3), (G, 2), at most `_STEEPEST`."""
+    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    facing = np.where(normals[:, 2] == 0.0, np.inf, normals[:, 2])
+    slopes = -normals[:, :2] / facing[:, None]
+    size = np.linalg.norm(slopes, axis=1, keepdims=True)
+    return np.asarray(slopes * np.minimum(1.0, _STEEPEST / np.maximum(size, 1e-9)))
 
 
 def _covers(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +27,8 @@ lashes."""
 _ON_SKIN = 0.03
 """Distance from the skin, in outer-eye distances, below which a vertex rides on the skin directly beneath it. Others,
 such as those at the end of a lash, follow the nearest such vertex of their piece."""
+_JOINED = 1e-3
+"""Distance from the skin, in outer-eye distances, below which a piece is joined to it."""
 _LASH = 0.03
 """Distance from the rim of a lid, in outer-eye distances, within which the lashes of a piece are rooted. A line of
 lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
@@ -40,14 +44,40 @@ _POSITIVE, _NEGATIVE = np.array([7, 2, 3]), np.array([5, 6, 1])
 """Where x, y and z are in [r]x, row by row, and where their negatives are."""
 
 
+@dataclass(frozen=True)
+class Roots:
+    """What holds each of N points that ride on the skin.
+
+    Attributes
+    ----------
+    at : (N,) intp
+        The point at which each is rooted in the skin: for a lash, its end at the lid; itself for a point on the skin.
+    at_rim : (N,) bool
+        Whether the root is held only by the rims of lids.
+    walls : (N,) bool
+        Whether the point is shifted, but not rotated.
+    sides : (N,) intp
+        Side of a slit on which the root is held; -1 for that of the nearest vertex of the skin.
+    """
+
+    at: NDArray[np.intp]
+    at_rim: NDArray[np.bool_]
+    walls: NDArray[np.bool_]
+    sides: NDArray[np.intp]
+
+    @classmethod
+    def by_nearest(cls, at: IntArray) -> Roots:
+        """Roots at the points `at` (N,), which are held by the skin nearest to them."""
+        no = np.zeros(len(at), dtype=np.bool_)
+        return cls(np.array(at), no, no.copy(), np.full(len(at), -1))
+
+
 class Glue:
     """Moves points (N, 3) with the skin (U, 3) below them, as rigidly as a lash turns with its lid.
 
-    `roots` (N,) are the points at which each is rooted in the skin: for a lash, its end at the lid; itself for a point
-    on the skin. `sides` (U,) says on which side of a slit each vertex of the skin is: a root is held by the nearest
-    side only, so that an upper lash does not follow the lower lid. Points that are `at_rim` (N,), by default none, are
-    held only by `rims` (M,), the vertices of the skin on the rims of lids. Points and skin are at rest, in one frame
-    and unit, and `unit` is the outer-eye distance in it.
+    `sides` (U,) says on which side of a slit each vertex of the skin is: a root is held by one side only, so that an
+    upper lash does not follow the lower lid. `rims` (M,) are the vertices of the skin on the rims of lids. Points and
+    skin are at rest, in one frame and unit, and `unit` is the outer-eye distance in it.
 
     Let d_i be the displacements of the nearest vertices of the skin, r_i their positions relative to the weighted mean,
     and w_i weights. A point is rotated about the mean by the vector that fits best (equation 5.10),
@@ -58,21 +88,19 @@ class Glue:
     def __init__(
         self,
         points: FloatArray,
-        roots: IntArray,
+        roots: Roots,
         skin: FloatArray,
         sides: IntArray,
         unit: float,
         rims: IntArray | None = None,
-        at_rim: NDArray[np.bool_] | None = None,
     ) -> None:
         places, skin = np.asarray(points, dtype=np.float64), np.asarray(skin, dtype=np.float64)
         sides = np.asarray(sides)
-        self._roots, first, self._places = np.unique(roots, return_index=True, return_inverse=True)
-        at = places[self._roots]
-        self._rows, weights = _neighbours(at, skin, sides, unit)
-        rim = np.zeros(len(at), dtype=np.bool_) if at_rim is None else np.asarray(at_rim)[first]
+        self._roots, first, self._places = np.unique(roots.at, return_index=True, return_inverse=True)
+        at, rim = places[self._roots], roots.at_rim[first]
+        self._rows, weights = _neighbours(at, skin, sides, unit, roots.sides[first])
         if rims is not None and rim.any():
-            found, weights[rim] = _neighbours(at[rim], skin[rims], sides[rims], unit)
+            found, weights[rim] = _neighbours(at[rim], skin[rims], sides[rims], unit, roots.sides[first][rim])
             self._rows[rim] = rims[found]
         near = skin[self._rows]
         # Equation 5.10 at rest: weighted mean of the neighbourhood, arms r_i from it, and sum w r r^T.
@@ -87,6 +115,7 @@ class Glue:
         # From displacements d_i to omega, I^-1 w_i [r_i]x, and to the shift of the mean, w_i; one matrix a root does
         # both in a frame.
         turns = np.einsum("nab,nk,nkbc->nkac", linalg.inverses_of_three(inertia), weights, _cross(arms))
+        turns[roots.walls[first]] = 0.0
         shares = weights[..., None, None] * np.eye(3)
         moments = np.swapaxes(np.concatenate([shares, turns], axis=2), 1, 2)
         self._moments = moments.reshape(len(at), 6, -1).astype(np.float32)
@@ -116,15 +145,19 @@ class Glue:
 
 
 def _neighbours(
-    roots: FloatArray, skin: FloatArray, sides: IntArray, unit: float
+    roots: FloatArray, skin: FloatArray, sides: IntArray, unit: float, own: IntArray
 ) -> tuple[NDArray[np.intp], FloatArray]:
-    """Find the vertices of the skin near each root and on its side, and their weights, which sum to 1, (R, K)."""
+    """Find the vertices of the skin near each root and on its side, and their weights, which sum to 1, (R, K).
+
+    The side is `own` (R,), or that of the nearest vertex if that is -1, or far away.
+    """
     count = min(4 * _NEIGHBOURS, len(skin))
     rows, squared = NearestPoints(skin).query(roots, count)
     distance = np.sqrt(np.maximum(squared, 0.0)).astype(np.float64)
+    side = np.where((sides[rows] == own[:, None]).any(axis=1), own, sides[rows[:, 0]])
     # Neighbours across the slit are sorted last and get weight 0; four times the number is sought, so that enough
     # remain.
-    other = sides[rows] != sides[rows[:, :1]]
+    other = sides[rows] != side[:, None]
     order = np.argsort(np.where(other, np.inf, distance), axis=1, kind="stable")[:, :_NEIGHBOURS]
     rows, distance = np.take_along_axis(rows, order, axis=1), np.take_along_axis(distance, order, axis=1)
     breadth = distance[:, :1] + _BREADTH * unit
@@ -241,8 +274,8 @@ class PartDriver:
         points = self.rest[self._riding]
         sides = np.asarray(deformed.region_weights).argmax(axis=0)
         rims = _rims(deformed)
-        roots, at_rim = self._roots(rig, points, self._skin_rest[rims], self._behind(points, deformed))
-        return Glue(points, roots, deformed.vertices, sides, rig.eye_distance, rims, at_rim)
+        roots = self._roots(rig, points, self._skin_rest[rims], self._behind(points, deformed), sides)
+        return Glue(points, roots, deformed.vertices, sides, rig.eye_distance, rims)
 
     def _behind(self, points: FloatArray, deformed: HeadRig) -> NDArray[np.bool_]:
         """Whether each of `points` (N, 3) lies behind the skin nearest to it, and not on it, (N,)."""
@@ -254,16 +287,18 @@ class PartDriver:
         return np.asarray((squared[:, 0] > (_ON_SKIN * unit) ** 2) & (depth > 0.0))
 
     def _roots(
-        self, rig: HeadRig, points: FloatArray, rims: NDArray[np.float32], behind: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
-        """Vertex among `points` at which each is rooted, (N,): itself on or `behind` (N,) the skin, or the nearest such
+        self, rig: HeadRig, points: FloatArray, rims: NDArray[np.float32], behind: NDArray[np.bool_], sides: IntArray
+    ) -> Roots:
+        """Find what holds `points` (N, 3): each is rooted itself on or `behind` (N,) the skin, or at the nearest such
         vertex of its piece.
 
-        A piece that reaches the rim of a lid, at `rims` (M, 3), is rooted there alone; the second result tells which.
+        A piece that reaches the rim of a lid, at `rims` (M, 3), is rooted there alone. What is behind the skin is a
+        wall, and on the one of the `sides` (U,) of the skin to which it is joined, along its edges.
         """
         unit = rig.eye_distance
-        away, to_rim = _distances(self._skin_rest, points), _distances(rims, points)
-        roots, at_rim = np.arange(len(points)), np.zeros(len(points), dtype=np.bool_)
+        nearest, squared = NearestPoints(self._skin_rest).query(points)
+        away, to_rim = np.sqrt(np.maximum(squared[:, 0], 0.0)), _distances(rims, points)
+        roots = Roots.by_nearest(np.arange(len(points)))
         faces = _faces_within(rig, self._riding)
         piece = islands(len(points), faces)
         graph = SurfaceGraph(points, faces)
@@ -273,17 +308,22 @@ class PartDriver:
             small = np.ptp(points[within], axis=0).max() <= _SMALL * unit
             if reach.min() <= _LASH * unit and reach.max() <= _LASHES * unit:
                 near = within[[int(reach.argmin())]] if small else within[reach <= _LASH * unit]
-                at_rim[within] = True
+                roots.at_rim[within] = True
             elif small:
                 near = within[[int(away[within].argmin())]]
             elif away[within].max() > _ON_SKIN * unit:
                 near = within[away[within] <= max(_ON_SKIN * unit, 1.5 * float(away[within].min()))]
-                # A wall behind the lips is no hair: rotated as they roll, its far end would come out of the chin.
+                # The wall of a mouth is no hair: rotated as the lips roll or widen, its far end would come out of the
+                # chin or the nose.
                 near = np.union1d(near, within[behind[within]])
+                roots.walls[within] = behind[within]
+                joined = within[away[within] <= _JOINED * unit]
+                if roots.walls[within].any() and len(joined):
+                    roots.sides[within] = sides[nearest[_nearest_along(graph, within, joined), 0]]
             else:
                 continue
-            roots[within] = _nearest_along(graph, within, near)
-        return roots, at_rim
+            roots.at[within] = _nearest_along(graph, within, near)
+        return roots
 
 
 def _span(rows: IntArray) -> IntArray | slice:
@@ -297,7 +337,7 @@ def _rims(skin: HeadRig) -> NDArray[np.intp]:
     if skin.faces is None:
         return np.empty(0, dtype=np.intp)
     eyes = lid_rims(skin.vertices, skin.faces, skin.landmarks, skin.region_weights)
-    rims = [lid for eye in eyes for lid in (eye.upper, eye.lower)]
+    rims = [lid.vertices for eye in eyes for lid in (eye.upper, eye.lower)]
     return np.unique(np.concatenate(rims)) if rims else np.empty(0, dtype=np.intp)
 
 

@@ -36,6 +36,23 @@ def test_teeth_behind_the_upper_lip_stay():
     np.testing.assert_array_equal(moved[0], rest[0])
 
 
+def test_gums_move_back_as_skin_that_is_deeper_slides_up_before_them():
+    rig = with_gums(0.12)
+    alone, skin = rig.skin()
+    assert skin is not None
+    driver, rest = PartDriver(rig, skin, alone), np.asarray(alone.vertices, dtype=np.float32)
+    rows = driver.gums.rows
+    assert len(rows)
+
+    def back(up: float) -> np.ndarray:
+        posed = driver.pose(rest - np.float32([0.0, up * UNIT, 0.0]), np.eye(3), STRAIGHT)
+        return (posed - driver.rest)[rows, 2] / UNIT
+
+    # Below the lip, skin recedes towards the chin.
+    assert back(0.1).max() > 0.03
+    assert back(0.1).mean() > back(0.05).mean() > 0.0
+
+
 @pytest.mark.parametrize("back", [0.0, -0.1])
 def test_gums_stay_where_they_are_if_the_skin_does_not_come_near(back):
     rest, moved = teeth_of(with_gums(0.12), back)

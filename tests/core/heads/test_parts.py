@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.lid_rims import lid_rims
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.parts import Glue, PartDriver
+from facemime.core.drive.parts import Glue, PartDriver, Roots
 from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
@@ -267,7 +267,7 @@ def test_parts_on_rigidly_moving_skin_move_with_it(pitch, yaw, roll):
     points = rng.uniform(-1.0, 1.0, (12, 3)) * 1.5
     turn = euler_to_matrix(pitch / 3, yaw / 3, roll / 3)
     moved = skin @ turn.T + (0.3, -0.2, 0.1)
-    glue = Glue(points, np.arange(12), skin, np.zeros(60, dtype=int), 1.0)
+    glue = Glue(points, Roots.by_nearest(np.arange(12)), skin, np.zeros(60, dtype=int), 1.0)
     expected = points @ turn.T + (0.3, -0.2, 0.1)
     size = np.linalg.norm(points, axis=1).max()
     assert np.abs(glue.move((moved - skin).astype(np.float32)) - expected).max() < 0.2 * size
@@ -277,16 +277,39 @@ def test_a_lash_is_held_by_the_side_on_which_it_is_rooted():
     skin = np.array([[x, y, 0.0] for y in (0.0, 0.1) for x in np.linspace(0.0, 1.0, 20)])
     sides = (skin[:, 1] > 0.05).astype(int)
     lash = np.array([[0.5, 0.03, 0.0], [0.5, 0.03, -0.2]])
-    glue = Glue(lash, np.array([0, 0]), skin, sides, 1.0)
+    glue = Glue(lash, Roots.by_nearest(np.array([0, 0])), skin, sides, 1.0)
     displacements = np.zeros((40, 3), dtype=np.float32)
     displacements[sides == 1, 1] = 1.0
     np.testing.assert_allclose(glue.move(displacements), lash, atol=1e-6)
 
 
+def test_the_wall_of_a_mouth_is_shifted_but_not_rotated():
+    skin = np.array([[x, y, 0.0] for y in (0.0, 0.1) for x in np.linspace(0.0, 1.0, 20)])
+    wall = np.array([[0.5, 0.05, 0.4]])
+    roots = Roots.by_nearest(np.array([0]))
+    bent = np.float32([[0.0, 0.0, x] for x in skin[:, 0]])
+    rotated = Glue(wall, roots, skin, np.zeros(40, dtype=int), 1.0).move(bent)
+    shifted = Glue(wall, replace(roots, walls=np.array([True])), skin, np.zeros(40, dtype=int), 1.0).move(bent)
+    assert abs(rotated[0, 0] - 0.5) > 0.2
+    np.testing.assert_allclose(shifted, [[0.5, 0.05, 0.9]], atol=0.05)
+
+
+def test_a_root_is_held_by_the_side_that_is_stated_unless_that_is_far_away():
+    skin = np.array([[x, y, 0.0] for y in (0.0, 0.1) for x in np.linspace(0.0, 1.0, 50)])
+    sides = (skin[:, 1] > 0.05).astype(int)
+    point = np.array([[0.5, 0.03, 0.0]])
+    raised = np.float32(np.where(sides[:, None] == 1, [0.0, 1.0, 0.0], 0.0))
+    for side, moved in ((-1, 0.0), (0, 0.0), (1, 1.0), (2, 0.0)):
+        roots = replace(Roots.by_nearest(np.array([0])), sides=np.array([side]), walls=np.array([True]))
+        np.testing.assert_allclose(
+            Glue(point, roots, skin, sides, 1.0).move(raised) - point, [[0.0, moved, 0.0]], atol=1e-6
+        )
+
+
 def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
     rig, height = built_in_head(), 0.06
     eye, *_ = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
-    rim = np.asarray(rig.vertices)[eye.upper[1:-1]]
+    rim = np.asarray(rig.vertices)[eye.upper.vertices[1:-1]]
     above = np.array([0.0, -height, 0.0]) * rig.eye_distance
     near = np.linalg.norm(np.asarray(rig.vertices)[:, None] - (rim + above), axis=2).argmin(axis=0)
     line = np.concatenate([rim, rim + above + (0.0, 0.0, 1.0) * (np.asarray(rig.vertices)[near] - rim - above)])
@@ -299,7 +322,7 @@ def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
     shutting[UPPER_LIDS] = points[LOWER_LIDS] - points[UPPER_LIDS]
     shut = head_deformer(alone).deform(shutting)
     moved = PartDriver(lashed, skin, alone).pose(shut, np.eye(3), np.tile(np.eye(3), (2, 1, 1)))
-    fallen = np.linalg.norm((moved - lashed.all_vertices)[eye.upper[1:-1]], axis=1) / rig.eye_distance
+    fallen = np.linalg.norm((moved - lashed.all_vertices)[eye.upper.vertices[1:-1]], axis=1) / rig.eye_distance
     assert fallen.max() > 0.05
     before, width = (np.linalg.norm(at[-n:] - at[-2 * n : -n], axis=1) for at in (lashed.all_vertices, moved))
     np.testing.assert_allclose(width, before, rtol=0.15)
