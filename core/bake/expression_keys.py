@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from ..deform.expressions import transferred
 from ..deform.head_deformer import head_deformer
+from ..deform.lid_rims import LidRims, lid_rims
 from ..deform.rbf import RBFDeformer
 from ..drive.driver import HeadDriver
 from ..drive.parts import PartDriver
@@ -51,6 +52,16 @@ _PARTED = 0.01
 """Share of the opening of an eye that may be left; without it, more triangles of the lids pass through each other."""
 _REACH = 0.35
 """Distance from the landmarks, in outer-eye distances, within which the carried motion counts."""
+_SHUT = 0.02
+"""Share of the opening of an eye below which a key shuts it."""
+_AJAR = 0.02
+"""Share of the area of an eye that a key may leave open although the landmarks of its lids meet. Bringing the rims
+together leaves more triangles that pass through each other."""
+_MOST = 0.2
+"""Gap between rims, relative to that at rest, above which they are not where the landmarks of the lids say."""
+_BLUR = 0.5
+"""Distance along a rim, relative to that between two landmarks, over which what it lacks is smoothed, so that it has no
+notches."""
 _OPEN = 1e-3
 """Opening of a lid, in outer-eye distances, below which it counts as shut at rest."""
 _SEALED = 0.005
@@ -138,6 +149,7 @@ class _Maker:
         weights = np.asarray(skin.region_weights)
         self._eyes = EyeballContact(skin.vertices, weights.sum(axis=0), skin.eyeballs)
         faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
+        self._rims = [] if skin.faces is None else lid_rims(skin.vertices, faces, skin.landmarks, weights)
         self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)
 
     def motions(self, keys: KeySet, progress: Callable[[float], None], refine: Refine) -> NDArray[np.float32]:
@@ -165,7 +177,24 @@ class _Maker:
         self, row: int, motion: NDArray[np.float32], before: NDArray[np.float32], *, sealed: bool
     ) -> NDArray[np.float32]:
         """Correct `motion` so that lids and lips meet, on a face that is already displaced by `before`."""
+        met = self._met(row, motion, before, [], sealed=sealed)
+        posed = np.asarray(self._rest + before + met, dtype=np.float64)
+        rims = [one for one in self._rims if self._shuts(row, one)]
+        ajar = [one for one in rims if one.open_area(posed) > _AJAR * one.open_area(one.places)]
+        return self._met(row, motion, before, ajar, sealed=sealed) if ajar else met
+
+    def _met(
+        self,
+        row: int,
+        motion: NDArray[np.float32],
+        before: NDArray[np.float32],
+        ajar: Sequence[LidRims],
+        *,
+        sealed: bool,
+    ) -> NDArray[np.float32]:
+        """Correct `motion` so that the landmarks of lids and lips meet, and the rims of eyes that would stay `ajar`."""
         landmarks, parted = self._skin.landmarks, np.zeros(len(UPPER_LIDS))
+        beyond = [np.zeros(len(rims.upper.vertices)) for rims in ajar]
         best, least = motion, np.inf
         for _ in range(1 if np.isnan(self._source.shares[row]).all() else _CONTACTS):
             for _ in range(_STEPS):
@@ -175,6 +204,10 @@ class _Maker:
                     break
                 motion = motion + self._followed(missing)
             posed = np.asarray(self._rest + before + motion, dtype=np.float32)
+            for rims, more in zip(ajar, beyond, strict=True):
+                needed = np.maximum(rims.gaps(posed.astype(np.float64)) + more, 0.0)
+                if needed.max() < _MOST * rims.gaps(rims.places).max():
+                    posed[rims.rows] += rims.lowered(_covering(needed, rims.upper.at))
             self._eyes.resolve(posed)
             self._slits.resolve(posed)
             self._eyes.resolve(posed)
@@ -182,9 +215,17 @@ class _Maker:
             # What contact has parted meets again if the lids are asked to overlap by as much.
             left = self._lacking(row, (before + motion)[landmarks])
             parted += np.where(left > _PARTED * lid_gaps(self._points), left, 0.0)
-            if left.max() < least:
-                best, least = motion, float(left.max())
+            places = posed.astype(np.float64)
+            beyond = [more + np.maximum(one.gaps(places), 0.0) for one, more in zip(ajar, beyond, strict=True)]
+            measure = sum(one.open_area(places) for one in ajar) if ajar else float(left.max())
+            if measure < least:
+                best, least = motion, measure
         return best
+
+    def _shuts(self, row: int, rims: LidRims) -> bool:
+        """Whether a key shuts the eye with these rims."""
+        pairs = np.isin(UPPER_LIDS, rims.slit.upper)
+        return bool((self._source.shares[row, pairs] < _SHUT).all())
 
     def _lids(self, row: int, moved: FloatArray, parted: FloatArray) -> FloatArray:
         """Displacements (66, 3) that lids lack to open or close by the same share as those of the built-in head.
@@ -220,6 +261,13 @@ class _Maker:
             if sealed or need > 0.0:
                 _move_apart(lacking, source, upper, lower, need * down)
         return lacking
+
+
+def _covering(needed: FloatArray, at: FloatArray) -> FloatArray:
+    """Return smooth distances, (N,), at positions `at` (N,) along a rim, about as large as `needed` (N,) or more."""
+    share = np.maximum(1.0 - np.abs(at[:, None] - at) / _BLUR, 0.0)
+    most = np.where(share > 0.5, needed, 0.0).max(axis=1)
+    return np.asarray(share @ most / share.sum(axis=1))
 
 
 def _move_apart(out: FloatArray, source: FloatArray, upper: int, lower: int, by: FloatArray) -> None:

@@ -92,6 +92,41 @@ class LidRims:
         moved = (self.spread[:, None] @ share[self.nearest])[:, 0].astype(np.float32)
         return RegionMatrix(self.rows, np.concatenate([upper, lower]), np.concatenate([moved, -moved], axis=1))
 
+    def gaps(self, posed: FloatArray) -> FloatArray:
+        """Return how far below each vertex of the upper rim the lower one is, (N,), if vertices are at `posed` (V, 3).
+
+        Negative where the lids overlap.
+        """
+        along, down = self._axes()
+        (upper, height), (lower, depth) = (
+            (posed[rim.vertices] @ along, posed[rim.vertices] @ down) for rim in self._rims
+        )
+        order = np.argsort(lower, kind="stable")
+        return np.asarray(np.interp(upper, lower[order], depth[order]) - height)
+
+    def lowered(self, by: FloatArray) -> FloatArray:
+        """Return the displacements (R, 3) of `rows` that lower each vertex of the upper rim by a distance, (N,)."""
+        return np.asarray((self.spread[:, None] @ by[self.nearest][:, :, None])[:, 0] * self._axes()[1])
+
+    def open_area(self, posed: FloatArray) -> float:
+        """Return the area between the rims, in the square of the unit of the vertices; 0 where lids overlap."""
+        along = posed[self.upper.vertices] @ self._axes()[0]
+        order = np.argsort(along, kind="stable")
+        gaps = np.maximum(self.gaps(posed), 0.0)[order]
+        return float(0.5 * (gaps[1:] + gaps[:-1]) @ np.diff(along[order]))
+
+    @property
+    def _rims(self) -> tuple[Rim, Rim]:
+        return self.upper, self.lower
+
+    def _axes(self) -> tuple[FloatArray, FloatArray]:
+        """Directions from the first corner to the second, and down across the eye, at rest, both (3,)."""
+        first, *_, last = self.points[self.slit.upper]
+        along = (last - first) / np.linalg.norm(last - first)
+        down = (self.points[self.slit.lower] - self.points[self.slit.upper])[1:-1].sum(axis=0)
+        down -= (down @ along) * along
+        return along, down / np.linalg.norm(down)
+
 
 def lid_rims(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[LidRims]:
     """Find the rims of both eyes, except those that are modelled shut or joined to their lids.

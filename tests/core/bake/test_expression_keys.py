@@ -1,12 +1,15 @@
 """Face units made on a head."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from facemime.core.bake.expression_keys import expression_keys
 from facemime.core.bake.key_quality import findings, key_qualities
 from facemime.core.bake.key_sets import KEY_SETS
-from facemime.core.face.landmarks import LIPS, LOWER_LIDS, UPPER_LIDS
+from facemime.core.deform.lid_rims import lid_rims
+from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
 from facemime.core.heads.rig import Part, built_in_head
@@ -85,3 +88,19 @@ def test_a_key_that_moves_nothing_is_named():
     moved = np.repeat(motions[:1], len(vrm.names), axis=0)
     moved[vrm.names.index("neutral")] = 0.0
     assert not [line for line in findings(key_qualities(rig, vrm, moved)) if line.startswith("Without motion")]
+
+
+def test_made_blinks_shut_the_eyes_along_their_whole_rims():
+    rig = built_in_head()
+    places = np.array(rig.vertices, dtype=np.float64)
+    for eye in (EYE_RIGHT, EYE_LEFT):
+        # Eyes that rise to both corners, as no known head's do.
+        middle = places[rig.landmarks[eye]].mean(axis=0)
+        near = np.exp(-np.square((places - middle) / (0.3 * rig.eye_distance)).sum(axis=1))
+        places[:, 1] -= 0.65 * near * np.abs(places[:, 0] - middle[0])
+    rig = replace(rig, vertices=places)
+    names, motions = expression_keys(rig)
+    eyes = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
+    for eye, name in zip(eyes, ("eyeBlinkRight", "eyeBlinkLeft"), strict=True):
+        shut = places + motions[names.index(name)]
+        assert eye.open_area(shut) < 0.01 * eye.open_area(places)
