@@ -177,24 +177,31 @@ class _Maker:
         self, row: int, motion: NDArray[np.float32], before: NDArray[np.float32], *, sealed: bool
     ) -> NDArray[np.float32]:
         """Correct `motion` so that lids and lips meet, on a face that is already displaced by `before`."""
-        met = self._met(row, motion, before, [], sealed=sealed)
-        posed = np.asarray(self._rest + before + met, dtype=np.float64)
         rims = [one for one in self._rims if self._shuts(row, one)]
-        ajar = [one for one in rims if one.open_area(posed) > _AJAR * one.open_area(one.places)]
-        return self._met(row, motion, before, ajar, sealed=sealed) if ajar else met
+        met, ajar = self._met(row, motion, before, rims, [], sealed=sealed)
+        if ajar <= _AJAR or not rims:
+            return met
+        closed, still = self._met(row, motion, before, rims, rims, sealed=sealed)
+        return closed if still < ajar else met
 
     def _met(
         self,
         row: int,
         motion: NDArray[np.float32],
         before: NDArray[np.float32],
-        ajar: Sequence[LidRims],
+        shut: Sequence[LidRims],
+        closed: Sequence[LidRims],
         *,
         sealed: bool,
-    ) -> NDArray[np.float32]:
-        """Correct `motion` so that the landmarks of lids and lips meet, and the rims of eyes that would stay `ajar`."""
+    ) -> tuple[NDArray[np.float32], float]:
+        """Correct `motion` so that the landmarks of lids and lips meet, and the rims of the eyes `closed` along them.
+
+        Also return by how much lids then miss their opening, as a share of that at rest: at the landmarks, or of the
+        area of the eyes that are `shut`, whichever is more.
+        """
         landmarks, parted = self._skin.landmarks, np.zeros(len(UPPER_LIDS))
-        beyond = [np.zeros(len(rims.upper.vertices)) for rims in ajar]
+        beyond = [np.zeros(len(rims.upper.vertices)) for rims in closed]
+        gaps = np.maximum(lid_gaps(self._points), 1e-9 * self._skin.eye_distance)
         best, least = motion, np.inf
         for _ in range(1 if np.isnan(self._source.shares[row]).all() else _CONTACTS):
             for _ in range(_STEPS):
@@ -204,7 +211,7 @@ class _Maker:
                     break
                 motion = motion + self._followed(missing)
             posed = np.asarray(self._rest + before + motion, dtype=np.float32)
-            for rims, more in zip(ajar, beyond, strict=True):
+            for rims, more in zip(closed, beyond, strict=True):
                 needed = np.maximum(rims.gaps(posed.astype(np.float64)) + more, 0.0)
                 if needed.max() < _MOST * rims.gaps(rims.places).max():
                     posed[rims.rows] += rims.lowered(_covering(needed, rims.upper.at))
@@ -214,13 +221,14 @@ class _Maker:
             motion = np.asarray(posed - self._rest - before)
             # What contact has parted meets again if the lids are asked to overlap by as much.
             left = self._lacking(row, (before + motion)[landmarks])
-            parted += np.where(left > _PARTED * lid_gaps(self._points), left, 0.0)
+            parted += np.where(left > _PARTED * gaps, left, 0.0)
             places = posed.astype(np.float64)
-            beyond = [more + np.maximum(one.gaps(places), 0.0) for one, more in zip(ajar, beyond, strict=True)]
-            measure = sum(one.open_area(places) for one in ajar) if ajar else float(left.max())
-            if measure < least:
-                best, least = motion, measure
-        return best
+            beyond = [more + np.maximum(one.gaps(places), 0.0) for one, more in zip(closed, beyond, strict=True)]
+            areas = [one.open_area(places) / one.open_area(one.places) for one in shut]
+            missed = max(float((left / gaps).max()), *areas, 0.0)
+            if missed < least:
+                best, least = motion, missed
+        return best, least
 
     def _shuts(self, row: int, rims: LidRims) -> bool:
         """Whether a key shuts the eye with these rims."""
