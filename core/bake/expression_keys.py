@@ -202,7 +202,7 @@ class _Maker:
         landmarks, parted = self._skin.landmarks, np.zeros(len(UPPER_LIDS))
         beyond = [np.zeros(len(rims.upper.vertices)) for rims in closed]
         gaps = np.maximum(lid_gaps(self._points), 1e-9 * self._skin.eye_distance)
-        best, least = motion, np.inf
+        best, least, ajar = motion, np.inf, np.inf
         for _ in range(1 if np.isnan(self._source.shares[row]).all() else _CONTACTS):
             for _ in range(_STEPS):
                 moved = (before + motion)[landmarks]
@@ -224,11 +224,12 @@ class _Maker:
             parted += np.where(left > _PARTED * gaps, left, 0.0)
             places = posed.astype(np.float64)
             beyond = [more + np.maximum(one.gaps(places), 0.0) for one, more in zip(closed, beyond, strict=True)]
-            areas = [one.open_area(places) / one.open_area(one.places) for one in shut]
-            missed = max(float((left / gaps).max()), *areas, 0.0)
-            if missed < least:
-                best, least = motion, missed
-        return best, least
+            areas = [0.0, *(one.open_area(places) / one.open_area(one.places) for one in shut)]
+            missed = float((left / gaps).max())
+            most = max(missed, *areas)
+            if (measure := most if closed else missed) < least:
+                best, least, ajar = motion, measure, most
+        return best, ajar
 
     def _shuts(self, row: int, rims: LidRims) -> bool:
         """Whether a key shuts the eye with these rims."""
