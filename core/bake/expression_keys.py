@@ -224,9 +224,8 @@ class _Maker:
             parted += np.where(left > _PARTED * gaps, left, 0.0)
             places = posed.astype(np.float64)
             beyond = [more + np.maximum(one.gaps(places), 0.0) for one, more in zip(closed, beyond, strict=True)]
-            areas = [0.0, *(one.open_area(places) / one.open_area(one.places) for one in shut)]
             missed = float((left / gaps).max())
-            most = max(missed, *areas)
+            most = max(missed, *(one.open_share(places) for one in shut), 0.0)
             if (measure := most if closed else missed) < least:
                 best, least, ajar = motion, measure, most
         return best, ajar

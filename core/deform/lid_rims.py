@@ -108,8 +108,12 @@ class LidRims:
         """Return the displacements (R, 3) of `rows` that lower each vertex of the upper rim by a distance, (N,)."""
         return np.asarray((self.spread[:, None] @ by[self.nearest][:, :, None])[:, 0] * self._axes()[1])
 
-    def open_area(self, posed: FloatArray) -> float:
-        """Return the area between the rims, in the square of the unit of the vertices; 0 where lids overlap."""
+    def open_share(self, posed: FloatArray) -> float:
+        """Return the area between the rims, relative to that at rest; nothing is open where lids overlap."""
+        rest = self._area(self.places)
+        return self._area(posed) / rest if rest > 0.0 else 0.0
+
+    def _area(self, posed: FloatArray) -> float:
         along = posed[self.upper.vertices] @ self._axes()[0]
         order = np.argsort(along, kind="stable")
         gaps = np.maximum(self.gaps(posed), 0.0)[order]

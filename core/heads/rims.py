@@ -41,8 +41,8 @@ _SLITS = (*EYES, MOUTH)
 _NEAR = 0.15
 """Margin around the landmarks of an eye or the mouth, in outer-eye distances, within which its rims are sought."""
 _STEPS = 12
-"""Number of equal lengths into which the places of `rim_places` divide a rim. On four heads, carried keys
-are up to two fifths nearer to the known head's along the rims than with half as many; twice as many gain less."""
+"""Number of equal lengths into which the places of `rim_places` divide a rim. On four heads, carried keys are up to two
+fifths nearer to the known head's along the rims than with half as many; twice as many gain less."""
 N_RIM_PLACES = sum(2 * (_STEPS + 1 - len(slit.fixed)) for slit in _SLITS)
 _DETOUR = 2.0
 """Length of a path between two landmarks, relative to their distance, above which it does not follow a rim."""

@@ -22,11 +22,15 @@ from random import Random
 import cv2
 
 from facemime.core.errors import FacemimeError
+from facemime.core.numeric import linalg
 
 from .formats import FORMATS, Format
 
 SECONDS = 10.0
-"""Limits of a case."""
+"""Limit of a case."""
+_SCIPY = ("interpolate", "ndimage", "sparse.csgraph", "sparse.linalg", "spatial.distance", "spatial.transform")
+"""Parts of scipy that core loads when it first needs them. Loaded while memory is limited, their libraries crash or
+hang."""
 
 
 def main() -> None:
@@ -44,14 +48,16 @@ def main() -> None:
         path = Path(folder) / f"case{chosen.suffix}"
         path.write_bytes(chosen.intact())
         chosen.read(path)
-        _bound_memory(chosen.megabytes)
+        for part in _SCIPY:
+            linalg.part(part)
+        limit = _memory(chosen.megabytes)
         cases = range(arguments.first, arguments.count) if arguments.case is None else [arguments.case]
         outcomes: Counter[str] = Counter()
         failures: list[tuple[int, str]] = []
         for case in cases:
             if arguments.progress is not None:
                 arguments.progress.write_text(json.dumps([case, outcomes, failures]))
-            outcome, told = _one(chosen, arguments.format, case, path)
+            outcome, told = _one(chosen, arguments.format, case, path, limit)
             outcomes[outcome] += 1
             if arguments.case is not None:
                 print(outcome, told, file=sys.stderr)
@@ -60,15 +66,16 @@ def main() -> None:
     print(json.dumps([None, outcomes, failures]))
 
 
-def _bound_memory(megabytes: int) -> None:
-    """Limit the process to so much more memory than it has now."""
+def _memory(megabytes: int) -> int:
+    """Bytes of memory that the process has now, and so many more."""
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit = pages * os.sysconf("SC_PAGE_SIZE") + megabytes * 2**20
-    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    return pages * os.sysconf("SC_PAGE_SIZE") + megabytes * 2**20
 
 
-def _one(chosen: Format, name: str, case: int, path: Path) -> tuple[str, str]:
-    path.write_bytes(chosen.mutated(Random(f"{name} {case}")))
+def _one(chosen: Format, name: str, case: int, path: Path, limit: int) -> tuple[str, str]:
+    path.write_bytes(chosen.mutated(Random(f"{name} {case}")))  # which may take more memory than reading it should
+    _, most = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, most))
     signal.setitimer(signal.ITIMER_REAL, SECONDS)  # ends the process, whatever it is doing
     try:
         chosen.read(path)
@@ -79,6 +86,7 @@ def _one(chosen: Format, name: str, case: int, path: Path) -> tuple[str, str]:
         return type(error).__name__, "".join(traceback.format_exception(error)[-3:])[-1500:]
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
+        resource.setrlimit(resource.RLIMIT_AS, (most, most))
     return "read", ""
 
 

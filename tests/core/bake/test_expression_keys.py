@@ -102,5 +102,4 @@ def test_made_blinks_shut_the_eyes_along_their_whole_rims():
     names, motions = expression_keys(rig)
     eyes = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
     for eye, name in zip(eyes, ("eyeBlinkRight", "eyeBlinkLeft"), strict=True):
-        shut = places + motions[names.index(name)]
-        assert eye.open_area(shut) < 0.015 * eye.open_area(places)
+        assert eye.open_share(places + motions[names.index(name)]) < 0.015
