@@ -99,7 +99,7 @@ class LidRims:
         """
         along, down = self._axes()
         (upper, height), (lower, depth) = (
-            (posed[rim.vertices] @ along, posed[rim.vertices] @ down) for rim in self._rims
+            (posed[rim.vertices] @ along, posed[rim.vertices] @ down) for rim in (self.upper, self.lower)
         )
         order = np.argsort(lower, kind="stable")
         return np.asarray(np.interp(upper, lower[order], depth[order]) - height)
@@ -118,10 +118,6 @@ class LidRims:
         order = np.argsort(along, kind="stable")
         gaps = np.maximum(self.gaps(posed), 0.0)[order]
         return float(0.5 * (gaps[1:] + gaps[:-1]) @ np.diff(along[order]))
-
-    @property
-    def _rims(self) -> tuple[Rim, Rim]:
-        return self.upper, self.lower
 
     def _axes(self) -> tuple[FloatArray, FloatArray]:
         """Directions from the first corner to the second, and down across the eye, at rest, both (3,)."""

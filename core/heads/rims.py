@@ -19,14 +19,14 @@ class Slit:
 
     If an opening between them is at rest smaller than `least`, in outer-eye distances, it is modelled shut. `fixed` are
     the indices of landmarks that are the same on every face, such as corners; those between them are not. Beside a
-    corner, both rims may be one up to the share `one` of the way to the next landmark.
+    corner, both rims may coincide up to the share `shared` of the way to the next landmark.
     """
 
     upper: NDArray[np.intp]
     lower: NDArray[np.intp]
     fixed: tuple[int, ...]
     least: float = 0.0
-    one: float = 0.0
+    shared: float = 0.0
 
     @property
     def between(self) -> NDArray[np.intp]:
@@ -36,7 +36,7 @@ class Slit:
 
 EYES = tuple(Slit(eye[:4], eye[[0, 5, 4, 3]], fixed=(0, 3), least=0.01) for eye in (EYE_RIGHT, EYE_LEFT))
 _UPPER, _LOWER = (np.insert(MOUTH_CORNERS, 1, lip) for lip in (UPPER_LIPS, LOWER_LIPS))
-MOUTH = Slit(_UPPER, _LOWER, fixed=(0, 2, 4), one=0.3)
+MOUTH = Slit(_UPPER, _LOWER, fixed=(0, 2, 4), shared=0.3)
 _SLITS = (*EYES, MOUTH)
 _NEAR = 0.15
 """Margin around the landmarks of an eye or the mouth, in outer-eye distances, within which its rims are sought."""
@@ -85,7 +85,7 @@ def rims_of(places: FloatArray, faces: IntArray, landmarks: IntArray, slit: Slit
     above, below = (_rim(graph, own[landmarks[line]], near) for line in (slit.upper, slit.lower))
     if above is None or below is None:
         return None
-    middle = (above.at > slit.one) & (above.at < above.at[-1] - slit.one)
+    middle = (above.at > slit.shared) & (above.at < above.at[-1] - slit.shared)
     return None if np.isin(above.vertices[middle], below.vertices).any() else (above, below)
 
 

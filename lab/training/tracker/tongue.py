@@ -1,9 +1,9 @@
-"""Tells the tongue anew, from real mouths as well: `python -m lab.training.tracker.tongue`.
+"""Trains the output for the tongue with real mouths as well: `python -m lab.training.tracker.tongue`.
 
 Renders did not show the expert of the mouth's actions what mouths look like that speak: it took bared teeth, lips and
-what lies between them for a tongue, in a fifth of the frames of a clip. In photos and clips of people, nobody puts out
-the tongue. The layers that see stay as they are; units of its own tell the tongue from what they see. Needs `onnx` of
-`tools/requirements/training.txt`, and ten minutes.
+what lies between them for a tongue, in a fifth of the frames of a clip. In none of the photos and clips is the tongue
+out. The convolutions stay as they are; the output gets hidden units of its own. This needs `onnx` of
+`tools/requirements/training.txt`, and takes ten minutes.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ _TELLING = ("told.2.weight", "told.2.bias", "told.4.weight", "told.4.bias")
 
 
 @dataclass(frozen=True)
-class Teller:
-    """Tells the log odds of a tongue from what the network has seen (N, S): ``v . relu(W x + b) + c``."""
+class Classifier:
+    """Log odds of a tongue from the features (N, S) of the network: ``v . relu(W x + b) + c``."""
 
     hidden: np.ndarray
     hidden_bias: np.ndarray
-    told: np.ndarray
-    told_bias: float
+    weights: np.ndarray
+    bias: float
 
 
 class _Seen:
@@ -142,7 +142,7 @@ def varied(crops: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return out
 
 
-def train(seen: tuple[np.ndarray, np.ndarray, np.ndarray], shown: np.ndarray, rng: np.random.Generator) -> Teller:
+def train(seen: tuple[np.ndarray, np.ndarray, np.ndarray], shown: np.ndarray, rng: np.random.Generator) -> Classifier:
     """Train on what is seen in renders, whose tongues are out by `shown` (N,), in photos and in clips, without any.
 
     Cross-entropy, by Adam (Kingma and Ba 2015) with a rate that falls as a cosine.
@@ -169,27 +169,27 @@ def train(seen: tuple[np.ndarray, np.ndarray, np.ndarray], shown: np.ndarray, rn
             away = np.sqrt(second[i] / (1.0 - 0.999**step)) + 1e-8
             weights[i] = weights[i] - rate * first[i] / (1.0 - 0.9**step) / away
     hidden = weights[0] / spread[:, None]
-    return Teller(hidden.T, weights[1] - mean @ hidden, weights[2], float(weights[3]))
+    return Classifier(hidden.T, weights[1] - mean @ hidden, weights[2], float(weights[3]))
 
 
-def calibrated(teller: Teller) -> Teller:
-    """Return a teller whose probabilities are in the range of the activations that the avatar shows."""
+def calibrated(classifier: Classifier) -> Classifier:
+    """Return a classifier whose probabilities are in the range of the activations that the avatar shows."""
     (low, high), (begin, full) = (np.log(np.array(p) / (1.0 - np.array(p))) for p in (_SHOWN, _RANGES["tongueOut"]))
     factor = (full - begin) / (high - low)
-    return replace(teller, told=factor * teller.told, told_bias=begin + factor * (teller.told_bias - low))
+    return replace(classifier, weights=factor * classifier.weights, bias=begin + factor * (classifier.bias - low))
 
 
-def told_anew(exported: bytes, output: int, teller: Teller) -> bytes:
-    """Return a network of actions in ONNX, with an `output` that is told by units of its own."""
+def with_output(exported: bytes, output: int, classifier: Classifier) -> bytes:
+    """Return a network of actions in ONNX in which a classifier replaces the output with index `output`."""
     model = onnx.load_from_string(exported)
     saved = {one.name: one for one in model.graph.initializer}
     hidden, hidden_bias, told, told_bias = (numpy_helper.to_array(saved[name]).copy() for name in _TELLING)
-    own = np.zeros((len(told), len(teller.told)))
-    own[output], told[output], told_bias[output] = teller.told, 0.0, teller.told_bias
-    others = told.any(axis=0)  # without units that told this output alone
+    own = np.zeros((len(told), len(classifier.weights)))
+    own[output], told[output], told_bias[output] = classifier.weights, 0.0, classifier.bias
+    others = told.any(axis=0)  # without units that no other output uses
     grown = (
-        np.concatenate([hidden[others], teller.hidden]),
-        np.concatenate([hidden_bias[others], teller.hidden_bias]),
+        np.concatenate([hidden[others], classifier.hidden]),
+        np.concatenate([hidden_bias[others], classifier.hidden_bias]),
         np.concatenate([told[:, others], own], axis=1),
         told_bias,
     )
@@ -227,8 +227,8 @@ def main() -> None:
         np.concatenate([look(varied(photos, rng)) for _ in range(_PHOTO)]),
         np.concatenate([look(varied(clips, rng)) for _ in range(_FRAME)]),
     )
-    teller = calibrated(train(seen, np.concatenate([shown for _, shown in drawn]), rng))
-    network = Network(told_anew(experts.network.onnx, output, teller), "actions")
+    classifier = calibrated(train(seen, np.concatenate([shown for _, shown in drawn]), rng))
+    network = Network(with_output(experts.network.onnx, output, classifier), "actions")
     actions = tuple(replace(each, network=network) if i == number else each for i, each in enumerate(model.actions))
     print(f"{DEFAULT_MODEL}: model {save_model(replace(model, actions=actions), DEFAULT_MODEL)}")
 
