@@ -12,7 +12,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -100,7 +100,12 @@ class LocalRunner:
             for index in indices:
                 ended.put(Outcome(index, _STOPPED, "stopped"))
             return []
-        with _started(["clip", *(clips[index] for index in indices), *options]) as process:
+        with ExitStack() as stack:
+            try:
+                process = stack.enter_context(_started(["clip", *(clips[index] for index in indices), *options]))
+            except OSError as error:  # such as too little memory for another process, which passes
+                ended.put(Outcome(indices[0], 1, f"no process could be started: {error}"))
+                return indices[1:]
             self._running.add(process)
             if self._closed:  # closed meanwhile
                 process.terminate()

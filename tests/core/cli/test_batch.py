@@ -273,6 +273,15 @@ def test_a_crashed_or_failed_process_does_not_stop_other_clips(workers, monkeypa
     assert 0 not in failed["abort"] and ended[1].said == "no head" and ended[3].said == "bad"
 
 
+def test_clips_whose_process_cannot_be_started_have_failed(monkeypatch):
+    monkeypatch.setattr(runners, "own_command", lambda: ["/nowhere/facemime"])
+    runner = runners.LocalRunner(2)
+    ended = sorted(runner.run(["one", "two", "three"], []), key=lambda outcome: outcome.index)
+    runner.close()
+    assert [(outcome.index, outcome.status) for outcome in ended] == [(0, 1), (1, 1), (2, 1)]
+    assert all("no process could be started" in outcome.said for outcome in ended)
+
+
 def test_a_task_of_several_clips_reports_those_that_it_began(workers):
     assert runners.run_clips(["one", "leave", "two"], []) == [(0, "one"), (1, "no head")]
 
