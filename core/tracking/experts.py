@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from ..face.landmarks import BROWS, MIRROR
 from ..numeric.arrays import FloatArray, IntArray
 from ..numeric.linalg import multiply
+from .grey import Grey
 from .network import Network
 from .reference import translate_pose, warp_to_reference
 
@@ -135,12 +136,12 @@ def standardise(crop: NDArray[np.uint8], floor: float) -> NDArray[np.float32]:
     return out
 
 
-def crop_face(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
+def crop_face(grey: Grey, pose: FloatArray, scale: float, size: int) -> NDArray[np.float32]:
     """Crop the standardised input (size, size) of the experts of the whole face, as `warp_to_reference` does."""
     return standardise(warp_to_reference(grey, pose, scale, (size, size)).pixels, _FACE_FLOOR)
 
 
-def crop_part(grey: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
+def crop_part(grey: Grey, pose: FloatArray, scale: float, size: tuple[int, int]) -> NDArray[np.float32]:
     """Crop the standardised input (height, width) of the experts of a part, centred on the translation of `pose`."""
     return standardise_part(warp_to_reference(grey, pose, scale, size).pixels)
 
@@ -181,11 +182,11 @@ class FaceExperts:
     scale: float
     size: int
 
-    def respond(self, grey: NDArray[np.uint8], pose: FloatArray) -> tuple[ResponseMaps, float]:
+    def respond(self, grey: Grey, pose: FloatArray) -> tuple[ResponseMaps, float]:
         """Return the maps of all landmarks in the face frame of an approximate pose, and the log odds of a face."""
         return self.read(*self.network(self.crop(grey, pose)))
 
-    def crop(self, grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
+    def crop(self, grey: Grey, pose: FloatArray) -> NDArray[np.float32]:
         """Crop the input (1, size, size) of the network."""
         return crop_face(grey, pose, self.scale, self.size)[None]
 
@@ -232,7 +233,7 @@ class FacePart:
         sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
         return sides
 
-    def crops(self, grey: NDArray[np.uint8], poses: Iterable[FloatArray]) -> NDArray[np.float32]:
+    def crops(self, grey: Grey, poses: Iterable[FloatArray]) -> NDArray[np.float32]:
         """Crop the standardised input (1 or 2, height, width) for each side, given its pose (6,) as for `crop_part`."""
         crops = np.empty((len(self.sides), *self.size[::-1]), np.float32)
         for crop, pose in zip(crops, poses, strict=True):
@@ -271,9 +272,7 @@ class PartExperts(FacePart):
     def _stride(self) -> NDArray[np.float32]:
         return np.full((self.sides.size, 1), PART_STRIDE / self.scale, np.float32)
 
-    def respond(
-        self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray, *, higher: float = 0.0
-    ) -> ResponseMaps:
+    def respond(self, grey: Grey, pose: FloatArray, shape: FloatArray, *, higher: float = 0.0) -> ResponseMaps:
         """Return the maps of the landmarks of the part around their approximate positions in `shape` (66, 2).
 
         Maps and shape are in the face frame of `pose` (6,); the crop lies `higher` outer-eye distances above that
@@ -287,7 +286,7 @@ class PartExperts(FacePart):
         """Return the centres of the crops, (1 or 2, 2), for landmarks (66, 2); both in the face frame."""
         return np.asarray(self._averages @ shape)
 
-    def crops_at(self, grey: NDArray[np.uint8], pose: FloatArray, centres: FloatArray) -> NDArray[np.float32]:
+    def crops_at(self, grey: Grey, pose: FloatArray, centres: FloatArray) -> NDArray[np.float32]:
         """Crop the input of the network at the `centres`, in the face frame of `pose` (6,)."""
         return self.crops(grey, (translate_pose(pose, *centre) for centre in centres.tolist()))
 

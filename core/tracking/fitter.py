@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, MIRROR, N_LANDMARKS, NOSE
 from ..numeric.arrays import FloatArray
 from .experts import PartExperts, ResponseMaps
+from .grey import Grey
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel
 from .network import N_FEATURES, Outputs
@@ -122,7 +123,7 @@ class FaceFitter:
         weights = np.where(np.isin(_EDGED, NOSE), _NOSE_WEIGHT, 1.0)
         self._edge_weights = {view: weights * visible[_EDGED] for view, visible in self._visibility.items()}
 
-    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
+    def fit(self, grey: Grey, start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
         """Fit a face from `start`, in the image frame, by stages such as `REFINED` or `DETECTED`.
 
         If the last stage uses parts, edges are refined at the end.
@@ -132,14 +133,14 @@ class FaceFitter:
             out = self._fit_stage(grey, out.fitted, stage)
         return self._refine_edges(grey, out) if stages[-1].parts else out
 
-    def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Fit:
+    def follow(self, grey: Grey, last: FittedShape) -> Fit:
         """Fit a face from its fit in the previous frame, in one stage, or two if a part has moved far."""
         fit = self._fit_stage(grey, last, FINE)
         if self._moved_far(last, fit.fitted):
             fit = self._fit_stage(grey, fit.fitted, FINE)
         return self._refine_edges(grey, fit)
 
-    def _fit_stage(self, grey: NDArray[np.uint8], start: FittedShape, stage: FitStage) -> Fit:
+    def _fit_stage(self, grey: Grey, start: FittedShape, stage: FitStage) -> Fit:
         began = perf_counter()
         local = _in_face_frame(start)
         # 1. Response maps (3.3), in the face frame of the start.
@@ -168,7 +169,7 @@ class FaceFitter:
         return Fit(fitted, features, certainty)
 
     def _look(
-        self, grey: NDArray[np.uint8], pose: FloatArray, local: FittedShape, *, parts: bool
+        self, grey: Grey, pose: FloatArray, local: FittedShape, *, parts: bool
     ) -> tuple[ResponseMaps, float, list[ResponseMaps]]:
         """Return the maps of the face, its log odds and the maps of its parts, in the face frame of `pose` (6,).
 
@@ -217,7 +218,7 @@ class FaceFitter:
         return self._fitted_pdm.project(local.pose, local.shape_params)
 
     def _raised(
-        self, part: PartExperts, maps: ResponseMaps, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray
+        self, part: PartExperts, maps: ResponseMaps, grey: Grey, pose: FloatArray, shape: FloatArray
     ) -> ResponseMaps:
         """Return the maps of a part, with brows that are not seen in its crop sought above it (section 3.3).
 
@@ -234,7 +235,7 @@ class FaceFitter:
         better = missed & (_mean_certainty(above, brows) > seen + _BETTER)
         return maps.replaced(above, (brows & better[:, None]).ravel())
 
-    def _refine_edges(self, grey: NDArray[np.uint8], fit: Fit) -> Fit:
+    def _refine_edges(self, grey: Grey, fit: Fit) -> Fit:
         """Refine a fit by the patch experts (section 3.5)."""
         began = perf_counter()
         start = fit.fitted

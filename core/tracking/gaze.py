@@ -22,6 +22,7 @@ from ..face.landmarks import EYE_LEFT, EYE_RIGHT, eye_apertures
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray
 from .experts import FacePart, standardise_part
+from .grey import Grey
 from .reference import warp_to_reference
 
 EYES = np.concatenate([EYE_RIGHT, EYE_LEFT])
@@ -55,7 +56,7 @@ class PupilExperts(FacePart):
     It tells the places of both pupils from the middle of the band, in its heights.
     """
 
-    def find(self, grey: NDArray[np.uint8], pose: FloatArray, outlines: FloatArray) -> FloatArray:
+    def find(self, grey: Grey, pose: FloatArray, outlines: FloatArray) -> FloatArray:
         """Find the pupils (2, 2) of the right and the left eye with `outlines` (2, 6, 2), all in pixels."""
         place = pose.copy()
         place[4:6] = outlines.sum(axis=(0, 1)) / (outlines.size // 2)
@@ -93,9 +94,7 @@ class Gaze:
     vergence: float
 
 
-def find_gaze(
-    experts: PupilExperts, grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray
-) -> Gaze:
+def find_gaze(experts: PupilExperts, grey: Grey, pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> Gaze:
     """Find the pupils and the gaze of a tracked face; both are NaN for eyes that are shut or hidden by the nose.
 
     `pose` (6,) is as in `TrackResult`, `landmarks` (66, 2) are in pixels, and `shape` (66, 3) holds them without the

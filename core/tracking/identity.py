@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
+from .grey import Grey
 from .pdm import FittedShape
 from .reference import warp_to_reference
 from .search import Candidate, largest
@@ -65,7 +66,7 @@ LEFTMOST, RIGHTMOST = (-1e6, 0.0), (1e6, 0.0)
 """Positions in pixels for `FaceTracker.choose`, far to the left and right of any image."""
 
 
-def describe_face(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
+def describe_face(grey: Grey, pose: FloatArray) -> NDArray[np.float32]:
     """Describe the appearance of a face at `pose` (6,) by a vector (400,) of length 1, to compare it within one video.
 
     The inner product of two descriptors is their similarity: about 0.97 from one second to the next for one person,
@@ -239,9 +240,7 @@ class FaceChoice:
         self._requested = self._lost = None
         self.misses = 0
 
-    def pick(
-        self, grey: NDArray[np.uint8], candidates: Sequence[Candidate], identity: PerformerIdentity
-    ) -> Candidate | None:
+    def pick(self, grey: Grey, candidates: Sequence[Candidate], identity: PerformerIdentity) -> Candidate | None:
         """Choose the face to track among those found in an image; None if none qualifies.
 
         Resets `identity`, which is that of the lost performer, if the face may be anybody's.

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from .facetracker_file import is_text_model, read_facetracker
 from .fitter import FaceFitter, Fit, FitStage
+from .grey import Grey
 from .linear_experts import REACH, LinearModel
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
 from .model_file import TrackerModel, load_model
@@ -52,7 +53,7 @@ class LinearFitter(FaceFitter):
         super().__init__(model, timings)
         self._linear = linear
 
-    def fit(self, grey: NDArray[np.uint8], start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
+    def fit(self, grey: Grey, start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
         """Fit a face from `start`, in all windows; for a coarse stage only its pose, in the widest one."""
         parts = stages[-1].parts
         fitted = self.fit_linear(grey, start, RADII if parts else RADII[:1])
@@ -60,11 +61,11 @@ class LinearFitter(FaceFitter):
             fitted = FittedShape(fitted.pose, np.zeros_like(fitted.shape_params))
         return self._judged(grey, fitted, parts)
 
-    def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Fit:
+    def follow(self, grey: Grey, last: FittedShape) -> Fit:
         """Fit a face from its fit in the previous frame."""
         return self._judged(grey, self.fit_linear(grey, last, RADII), True)
 
-    def fit_linear(self, grey: NDArray[np.uint8], start: FittedShape, radii: tuple[int, ...]) -> FittedShape:
+    def fit_linear(self, grey: Grey, start: FittedShape, radii: tuple[int, ...]) -> FittedShape:
         """Fit the shape model from `start`, in the image frame, in windows of each of `radii` in turn."""
         pdm, scale, fitted = self._linear.pdm, self._linear.scale, start
         for radius in radii:
@@ -91,7 +92,7 @@ class LinearFitter(FaceFitter):
             self._timings["fit"] += perf_counter() - looked
         return fitted
 
-    def _judged(self, grey: NDArray[np.uint8], fitted: FittedShape, parts: bool) -> Fit:
+    def _judged(self, grey: Grey, fitted: FittedShape, parts: bool) -> Fit:
         """Judge a fit by the networks of the face, and of its `parts`, seen where it ended."""
         began = perf_counter()
         face, log_odds = (self._model.glance if parts else self._model.face).respond(grey, fitted.pose)

@@ -21,6 +21,7 @@ from ..face.names import ACTION_MIRROR, N_ACTIONS
 from ..numeric.arrays import FloatArray, IntArray
 from ..numeric.opencv import Node, encode_network
 from .experts import FacePart, ResponseMaps
+from .grey import Grey
 from .network import Network
 from .reference import translate_pose, warp_to_reference
 
@@ -45,7 +46,7 @@ class ActionExperts(FacePart):
         both = [self.actions, ACTION_MIRROR[self.actions]][: 1 + self.paired]
         return np.asarray(np.concatenate(both), dtype=np.intp)
 
-    def respond(self, grey: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray) -> FloatArray:
+    def respond(self, grey: Grey, pose: FloatArray, landmarks: FloatArray) -> FloatArray:
         """Estimate the activations, (k,) or (2 k,), of the actions in `measured`, for landmarks (66, 2) in pixels."""
         poses = pose[None].repeat(len(self.sides), axis=0)
         poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
@@ -55,7 +56,7 @@ class ActionExperts(FacePart):
 
 def measure_actions(
     experts: Sequence[ActionExperts],
-    grey: NDArray[np.uint8],
+    grey: Grey,
     pose: FloatArray,
     landmarks: FloatArray,
     before: FloatArray | None = None,
@@ -106,7 +107,7 @@ class PatchExperts:
     output_bias: NDArray[np.float32]
     landmarks: IntArray = field(default_factory=lambda: np.arange(N_LANDMARKS))
 
-    def respond(self, grey: NDArray[np.uint8], pose: FloatArray, shape: FloatArray) -> tuple[ResponseMaps, FloatArray]:
+    def respond(self, grey: Grey, pose: FloatArray, shape: FloatArray) -> tuple[ResponseMaps, FloatArray]:
         """Return maps of the squared responses around their landmarks, and the highest response (N,) of each, 0 to 1.
 
         `shape` (66, 2) holds all landmarks; shape and maps are in the face frame of `pose` (6,). One batched product of

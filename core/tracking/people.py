@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numeric.arrays import FloatArray
+from .grey import Grey, whole
 from .identity import blended, describe_face
 from .pdm import FittedShape
 from .result import HiddenMouth, TrackResult
@@ -137,15 +138,15 @@ class PeopleTracker:
             results[person.number] = self._tracker.read(grey, candidate, person.mouth)
         return results
 
-    def _is_cut(self, grey: NDArray[np.uint8]) -> bool:
+    def _is_cut(self, grey: Grey) -> bool:
         """Whether another scene begins with this frame."""
-        small = cv2.resize(grey, (_SMALL, _SMALL), interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
+        small = cv2.resize(whole(grey), (_SMALL, _SMALL), interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
         small -= small.mean()
         small /= max(float(np.linalg.norm(small)), 1e-3)
         before, self._small = self._small, small
         return before is not None and float(before @ small) < _CUT
 
-    def _followed(self, grey: NDArray[np.uint8]) -> dict[int, Candidate]:
+    def _followed(self, grey: Grey) -> dict[int, Candidate]:
         """Fits near those of the previous frame that are faces, by the number of the person."""
         followed = {}
         for person in self._people:
@@ -155,7 +156,7 @@ class PeopleTracker:
                     followed[person.number] = candidate
         return followed
 
-    def _tell_apart(self, grey: NDArray[np.uint8], followed: dict[int, Candidate]) -> None:
+    def _tell_apart(self, grey: Grey, followed: dict[int, Candidate]) -> None:
         """Remove fits that are of somebody else's face, and learn how the others look."""
         contested = {
             number
@@ -188,7 +189,7 @@ class PeopleTracker:
         missing = any(p.number not in followed and self._frame - p.frame < _AWAITED for p in self._people)
         return self._frame % (_MISSING if missing else _INTERVAL) == 0
 
-    def _meet(self, grey: NDArray[np.uint8], followed: dict[int, Candidate]) -> None:
+    def _meet(self, grey: Grey, followed: dict[int, Candidate]) -> None:
         """Search for faces, and add them to `followed` as those of people who were lost, or of new ones."""
         search = self._tracker.search
         if followed:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
+from .grey import Grey, region
 
 
 @dataclass(frozen=True)
@@ -61,9 +62,7 @@ def translate_pose(pose: FloatArray, x: float, y: float) -> FloatArray:
     return pose_in_image(np.array([1.0, pose[1], pose[2], 0.0, x, y]), pose)
 
 
-def warp_to_reference(
-    image: NDArray[np.uint8], pose: FloatArray, scale: float, size: tuple[int, int]
-) -> ReferenceFrame:
+def warp_to_reference(image: Grey, pose: FloatArray, scale: float, size: tuple[int, int]) -> ReferenceFrame:
     """Crop a face, upright, to `size` (width, height) in pixels, at `scale` pixels per outer-eye distance.
 
     The image is grey or BGR. The translation of the pose (6,), in the image frame, becomes the centre of the crop.
@@ -94,7 +93,7 @@ def warp_to_reference(
 
 
 def _shrunk_region(
-    image: NDArray[np.uint8], x: float, y: float, reach: tuple[float, float], step: int
+    image: Grey, x: float, y: float, reach: tuple[float, float], step: int
 ) -> tuple[NDArray[np.uint8], int, float, float]:
     """Return the part of the image within `reach` (x, y) pixels of (x, y), reduced by averaging step x step pixels.
 
@@ -103,11 +102,11 @@ def _shrunk_region(
     height, width = image.shape[:2]
     left, right = _span(x, reach[0], width, step)
     top, bottom = _span(y, reach[1], height, step)
-    region = image[top:bottom, left:right]
-    if step < 2 or min(region.shape[:2]) < 2 * step:
-        return region, 1, left, top
-    rows, columns = region.shape[0] // step, region.shape[1] // step
-    whole = region[: rows * step, : columns * step]
+    seen = region(image, left, top, right, bottom)
+    if step < 2 or min(seen.shape[:2]) < 2 * step:
+        return seen, 1, left, top
+    rows, columns = seen.shape[0] // step, seen.shape[1] // step
+    whole = seen[: rows * step, : columns * step]
     small = cv2.resize(whole, (columns, rows), interpolation=cv2.INTER_AREA)
     return cast("NDArray[np.uint8]", small), step, left, top
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
+from .grey import Grey
 from .reference import warp_to_reference
 
 _SIDE = 40
@@ -34,14 +35,14 @@ class Rivals:
     `tracked` is the pose (6,) of the face that was chosen, `others` are those of further faces, in the image frame.
     """
 
-    def __init__(self, grey: NDArray[np.uint8], tracked: FloatArray, others: Sequence[FloatArray]) -> None:
+    def __init__(self, grey: Grey, tracked: FloatArray, others: Sequence[FloatArray]) -> None:
         self.poses = [tracked]
         self._looks = [_look(grey, tracked)]
         self._changes = [0.0]
         self._frames = 0
         self.add(grey, others)
 
-    def add(self, grey: NDArray[np.uint8], others: Sequence[FloatArray]) -> None:
+    def add(self, grey: Grey, others: Sequence[FloatArray]) -> None:
         """Watch further faces as well, at poses (6,) in a grey image, unless one is watched there already."""
         for pose in others:
             if all(float(np.hypot(*(pose[4:6] - known[4:6]))) > known[0] for known in self.poses):
@@ -49,7 +50,7 @@ class Rivals:
                 self._looks.append(_look(grey, pose))
                 self._changes.append(0.0)
 
-    def watch(self, grey: NDArray[np.uint8]) -> None:
+    def watch(self, grey: Grey) -> None:
         """Compare the next image."""
         self._frames += 1
         for i, (pose, look) in enumerate(zip(self.poses, self._looks, strict=True)):
@@ -77,6 +78,6 @@ class Rivals:
         return max(moving, key=lambda pose: float(pose[0]), default=None)
 
 
-def _look(grey: NDArray[np.uint8], pose: FloatArray) -> NDArray[np.float32]:
+def _look(grey: Grey, pose: FloatArray) -> NDArray[np.float32]:
     """Crop of a face, (40, 40)."""
     return warp_to_reference(grey, pose, _SCALE, (_SIDE, _SIDE)).pixels.astype(np.float32)

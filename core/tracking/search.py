@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..numeric.arrays import FloatArray
 from .cascade_detector import EFFORTS, CascadeDetector, Effort, Step
 from .fitter import COARSE, REFINED, FaceFitter, Fit
+from .grey import Grey, whole
 from .linear_fitter import LinearFitter
 from .model_file import TrackerModel
 from .network import SIDES, NetworkDetector
@@ -120,7 +121,7 @@ class FaceSearch:
         self._images += 1
         self.timings.update(dict.fromkeys(STAGES, 0.0))
 
-    def follow(self, grey: NDArray[np.uint8], last: FittedShape) -> Candidate:
+    def follow(self, grey: Grey, last: FittedShape) -> Candidate:
         """Fit the face near its position in the previous frame, and judge the fit, however low its confidence."""
         return self._judge(self.fitter.follow(grey, last))
 
@@ -150,7 +151,7 @@ class FaceSearch:
 
     def detect(
         self,
-        grey: NDArray[np.uint8],
+        grey: Grey,
         steps: Sequence[SearchStep] | None = None,
         *,
         small: bool = False,
@@ -164,7 +165,7 @@ class FaceSearch:
         """
         return list(self._detected(grey, self._all if steps is None else steps, small, brief or self.gradual))
 
-    def others(self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], *, small: bool = False) -> list[Candidate]:
+    def others(self, grey: Grey, poses: Sequence[FloatArray], *, small: bool = False) -> list[Candidate]:
         """Find faces other than those at `poses` (6,) in the image frame. Only boxes away from them are fitted.
 
         `small` searches for small faces, too, which takes longer.
@@ -184,9 +185,7 @@ class FaceSearch:
             if apart(c.pose)
         ]
 
-    def _detected(
-        self, grey: NDArray[np.uint8], steps: Sequence[SearchStep], small: bool, brief: bool
-    ) -> Iterator[Candidate]:
+    def _detected(self, grey: Grey, steps: Sequence[SearchStep], small: bool, brief: bool) -> Iterator[Candidate]:
         for step in steps:
             found = self._faces_in(grey, self._starts(grey, step, brief), step, brief)
             yield from found
@@ -194,21 +193,21 @@ class FaceSearch:
             if certain and not (step in _FIRST and small):
                 return
 
-    def _starts(self, grey: NDArray[np.uint8], step: SearchStep, brief: bool) -> list[FloatArray]:
+    def _starts(self, grey: Grey, step: SearchStep, brief: bool) -> list[FloatArray]:
         """Return the poses (6,) of the network's detections, or frontal poses for the boxes of the cascades."""
         began = perf_counter()
         starts = self._boxes(grey, step, brief) if isinstance(step, Step) else self._detections(grey, step, brief)
         self.timings["detect"] += perf_counter() - began
         return starts
 
-    def _boxes(self, grey: NDArray[np.uint8], step: Step, brief: bool) -> list[FloatArray]:
-        boxes = self._cascades.boxes(grey, step)[: _MAX_GRADUAL if brief else _MAX_BOXES]
+    def _boxes(self, grey: Grey, step: Step, brief: bool) -> list[FloatArray]:
+        boxes = self._cascades.boxes(whole(grey), step)[: _MAX_GRADUAL if brief else _MAX_BOXES]
         return [box.start_pose(self._model.box_offset) for box in boxes]
 
-    def _detections(self, grey: NDArray[np.uint8], network_pass: NetworkPass, brief: bool) -> list[FloatArray]:
+    def _detections(self, grey: Grey, network_pass: NetworkPass, brief: bool) -> list[FloatArray]:
         """Return poses (6,) of the network's detections, ordered by size times likelihood."""
         assert self.network is not None
-        found = self.network.detect(grey, network_pass.sides, network_pass.turns)
+        found = self.network.detect(whole(grey), network_pass.sides, network_pass.turns)
         if brief:
             unlikely = [face for face in found if face.odds < 0.0]
             chosen = {(self._images + i) % len(unlikely) for i in range(_MAX_UNLIKELY[0])} if unlikely else set()
@@ -216,9 +215,7 @@ class FaceSearch:
         found.sort(key=lambda f: -f.pose[0] / (1.0 + np.exp(-f.odds)))
         return [face.pose for face in found[:_MAX_DETECTIONS]]
 
-    def _faces_in(
-        self, grey: NDArray[np.uint8], poses: Sequence[FloatArray], step: SearchStep, brief: bool
-    ) -> list[Candidate]:
+    def _faces_in(self, grey: Grey, poses: Sequence[FloatArray], step: SearchStep, brief: bool) -> list[Candidate]:
         """Return the accepted faces near the poses (6,) from a step."""
         neutral = np.zeros(self._model.pdm.n_modes)
         coarse = [self.fitter.fit(grey, FittedShape(pose, neutral), (COARSE,)) for pose in poses]

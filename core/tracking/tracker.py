@@ -10,7 +10,6 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -19,6 +18,7 @@ from ..files.setting import Choice, setting
 from ..numeric.arrays import FloatArray, as_image
 from .fitter import FaceFitter
 from .gaze import find_gaze
+from .grey import Grey, GreyImage
 from .identity import FaceChoice, PerformerIdentity, describe_face
 from .linear_fitter import load_any_model
 from .model_file import TrackerModel
@@ -273,14 +273,14 @@ class FaceTracker:
         found = largest(self.search.detect(grey, small=self._choice.waiting))
         return TrackResult.nothing(self.pdm.n_modes) if found is None else self.read(grey, found)
 
-    def begin(self, image: ArrayLike) -> NDArray[np.uint8]:
-        """Begin with an image, and convert it to grey (H, W)."""
+    def begin(self, image: ArrayLike) -> Grey:
+        """Begin with an image, and return it in grey."""
         self.search.begin()
         pixels = as_image(image)
         self._colour = None if pixels.ndim == 2 else pixels
-        return pixels if pixels.ndim == 2 else np.asarray(cv2.cvtColor(pixels, cv2.COLOR_BGR2GRAY), np.uint8)
+        return pixels if pixels.ndim == 2 else GreyImage(pixels)
 
-    def _is_same(self, grey: NDArray[np.uint8], followed: Candidate) -> bool:
+    def _is_same(self, grey: Grey, followed: Candidate) -> bool:
         """Whether the tracked face is still the same person's, rather than that of somebody who stepped in front."""
         identity = self._identity
         if identity.frame % _IDENTITY_INTERVAL:
@@ -299,7 +299,7 @@ class FaceTracker:
         identity.adapt(descriptor)
         return True
 
-    def _performing(self, grey: NDArray[np.uint8], rivals: Rivals, followed: Candidate) -> Candidate | None:
+    def _performing(self, grey: Grey, rivals: Rivals, followed: Candidate) -> Candidate | None:
         """Return the largest other face that moves if the tracked one is a picture; otherwise None."""
         rivals.watch(grey)
         if rivals.settled:
@@ -312,14 +312,14 @@ class FaceTracker:
         rivals.add(grey, _certain(found))
         return None
 
-    def _switch(self, grey: NDArray[np.uint8], another: Candidate) -> TrackResult:
+    def _switch(self, grey: Grey, another: Candidate) -> TrackResult:
         """Track the face of somebody else."""
         self._identity.reset()
         self._mouth.reset()
         self._rivals = None
         return self._accept(grey, another)
 
-    def _next_face(self, grey: NDArray[np.uint8]) -> Candidate | None:
+    def _next_face(self, grey: Grey) -> Candidate | None:
         """Return the next face to the right of the tracked one, or else the leftmost; None if there is no other."""
         self._switch_requested = False
         if self._last is None:
@@ -328,7 +328,7 @@ class FaceTracker:
         found = self.search.others(grey, [here], small=True)
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
-    def _accept(self, grey: NDArray[np.uint8], candidate: Candidate) -> TrackResult:
+    def _accept(self, grey: Grey, candidate: Candidate) -> TrackResult:
         self._last = candidate.fit.fitted
         self._choice.settle()
         # A gradual tracker measures all actions in the first frame, and then those of one part per frame.
@@ -342,7 +342,7 @@ class FaceTracker:
 
     def read(
         self,
-        grey: NDArray[np.uint8],
+        grey: Grey,
         candidate: Candidate,
         mouth: HiddenMouth | None = None,
         parts: Sequence[ActionExperts] | None = None,
