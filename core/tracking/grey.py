@@ -21,9 +21,10 @@ class GreyImage:
 
     def __init__(self, pixels: NDArray[np.uint8]) -> None:
         self._pixels = pixels
-        self.shape: tuple[int, int] = pixels.shape[:2]
+        height, width = pixels.shape[:2]
+        self.shape = (height, width)
         self._grey = np.empty(self.shape, np.uint8)
-        self._known = (0, 0, 0, 0)
+        self._known = (width, height, 0, 0)
 
     def region(self, left: int, top: int, right: int, bottom: int) -> NDArray[np.uint8]:
         """Return a region, with the last column and row exclusive."""
@@ -31,17 +32,16 @@ class GreyImage:
         if left < first or top < upper or right > last or bottom > lower:
             height, width = self.shape
             across, down = int(_ROOM * (right - left)), int(_ROOM * (bottom - top))
-            wanted = (max(left - across, 0), max(top - down, 0), min(right + across, width), min(bottom + down, height))
-            if last:
-                wanted = (*map(min, wanted[:2], (first, upper)), *map(max, wanted[2:], (last, lower)))
-            here = np.s_[wanted[1] : wanted[3], wanted[0] : wanted[2]]
+            first, upper = min(max(left - across, 0), first), min(max(top - down, 0), upper)
+            last, lower = max(min(right + across, width), last), max(min(bottom + down, height), lower)
+            here = np.s_[upper:lower, first:last]
             cv2.cvtColor(self._pixels[here], cv2.COLOR_BGR2GRAY, self._grey[here])
-            self._known = wanted
+            self._known = first, upper, last, lower
         return self._grey[top:bottom, left:right]
 
     def whole(self) -> NDArray[np.uint8]:
         """Return the whole image."""
-        return self.region(0, 0, *self.shape[::-1])
+        return self.region(0, 0, self.shape[1], self.shape[0])
 
 
 Grey: TypeAlias = "NDArray[np.uint8] | GreyImage"

@@ -8,7 +8,6 @@ from pathlib import Path
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from .facetracker_file import is_text_model, read_facetracker
 from .fitter import FaceFitter, Fit, FitStage

@@ -8,7 +8,6 @@ from time import perf_counter
 from typing import TypeAlias, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..numeric.arrays import FloatArray
 from .cascade_detector import EFFORTS, CascadeDetector, Effort, Step
