@@ -34,6 +34,9 @@ teeth near them with coarse noise if it is larger."""
 
 _HEAD_REACH = 2.3
 """Distance from the middle of a head, in outer-eye distances, within which its points are in view."""
+_NECK = 0.6
+"""Distance below the chin, in outer-eye distances, down to which they are, if they are no farther aside than the face:
+the shoulders and arms of a body need not be in view."""
 _DEPTH = 0.5
 """Distance of that middle behind the landmarks, in outer-eye distances."""
 _NEAR = 1.6
@@ -70,10 +73,14 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     known = to_blender(head.vertices[head.landmarks]).astype(np.float64)
     axes = fit_rotation(known - known.mean(axis=0), face - face.mean(axis=0))
     unit = outer_eye_distance(face)
-    hair = [face_points(child) for child in obj.children if child.get(PART_PROPERTY) == "hair" and child.type == "MESH"]
-    points = np.concatenate([points, *hair])
+    hair = [child for child in obj.children if child.get(PART_PROPERTY) == "hair" and child.type == "MESH"]
+    points = np.concatenate([points, *(face_points(part) for part in {*hair, *objects_of(obj)})])
     middle = face.mean(axis=0) + _DEPTH * unit * axes[:, 1]
-    return FaceView(points[np.linalg.norm(points - middle, axis=1) < _HEAD_REACH * unit], axes)
+    away, own = (points - middle) @ axes, (face - middle) @ axes
+    above = away[:, 2] > own[:, 2].min()
+    neck = (away[:, 2] > own[:, 2].min() - _NECK * unit) & (np.abs(away[:, 0]) < np.abs(own[:, 0]).max())
+    of_head = (np.linalg.norm(away, axis=1) < _HEAD_REACH * unit) & (above | neck)
+    return FaceView(points[of_head], axes)
 
 
 def setup_preview(

@@ -188,12 +188,14 @@ def _pieces_of(
     materials = _material_of_pieces(obj, faces, number)
     order = np.argsort(number, kind="stable")
     borders = np.searchsorted(number[order], np.arange(len(on_skin) + 1))
+    # The name of the mesh with the face says nothing about its pieces: joined meshes keep the name of one of them.
+    of_object = () if obj == head else (obj.name,)
     pieces = []
     for i, material in enumerate(materials):
         own = places[order[borders[i] : borders[i + 1]]]
         away, moving, joined = nearest.of(own)
         skin = bool(on_skin[i] >= _MIN_ON_SKIN) and named_part([material]) is None
-        pieces.append(Piece(own, (material, obj.name), skin, away, moving, joined))
+        pieces.append(Piece(own, (material, *of_object), skin, away, moving, joined))
     return _Pieces(obj, number, pieces)
 
 
@@ -249,12 +251,10 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
         if own:
             return [own] * len(group.pieces)
     shares = {name: np.sum([group_weights(group.obj, bone) for bone in turned[name]], axis=0) for name in names}
-    owners = []
-    for i in range(len(group.pieces)):
-        means = {name: float(share[group.number == i].mean()) for name, share in shares.items()}
-        best = max(means, key=lambda name: means[name])
-        owners.append(best if means[best] > _OWN_SHARE else "")
-    return owners
+    counts = np.bincount(group.number)
+    means = np.stack([np.bincount(group.number, shares[name]) / counts for name in names])
+    best = means.argmax(axis=0)
+    return [names[row] if mean > _OWN_SHARE else "" for row, mean in zip(best, means.max(axis=0), strict=True)]
 
 
 def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmarks: IntArray) -> FaceBones:

@@ -132,13 +132,15 @@ def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArra
     graph = SurfaceGraph(vertices, faces)
     points = graph.vertices[landmarks]
     reach = _SLIT_REACH * outer_eye_distance(points)
-    found = [np.empty(0, dtype=np.intp)]
-    for border in graph.openings():
-        for organ in (EYE_RIGHT, EYE_LEFT, LIPS):
-            away = np.linalg.norm(graph.vertices[border][:, None] - points[organ], axis=2).min(axis=1)
-            long = _size(graph.vertices[border]) > _SLIT_LENGTH * _size(points[organ])
-            if long and away.max() < reach:
-                found.append(border)
+    found, borders = [np.empty(0, dtype=np.intp)], graph.openings()
+    firsts = graph.vertices[[border[0] for border in borders]].reshape(-1, 3)
+    for organ in (EYE_RIGHT, EYE_LEFT, LIPS):
+        around = np.linalg.norm(firsts[:, None] - points[organ], axis=2).min(axis=1)
+        for i in np.flatnonzero(around < reach):  # a mesh whose faces are all apart has a border around each
+            places = graph.vertices[borders[i]]
+            away = np.linalg.norm(places[:, None] - points[organ], axis=2).min(axis=1)
+            if _size(places) > _SLIT_LENGTH * _size(points[organ]) and away.max() < reach:
+                found.append(borders[i])
     return np.concatenate(found)
 
 

@@ -128,5 +128,12 @@ def _heads_of(places: FloatArray) -> list[NDArray[np.intp]]:
     low, extent = places.min(axis=0), np.ptp(places, axis=0)
     if extent[1] < _BODY_RATIO * extent.min():
         return [np.arange(len(places))]
-    tops = [np.flatnonzero(places[:, 1] < low[1] + share * extent[1]) for share in _HEAD_SHARES]
+    tops = [_top(places, low[1], share * extent[1]) for share in _HEAD_SHARES]
     return [top for top in tops if len(top) > N_LANDMARKS]
+
+
+def _top(places: FloatArray, highest: float, height: float) -> NDArray[np.intp]:
+    """Vertices within a `height` of the `highest`, without arms that are stretched out beside the head."""
+    below = places[:, 1] - highest
+    middle = np.median(places[below < height / 2.0, 0])
+    return np.flatnonzero((below < height) & (np.abs(places[:, 0] - middle) < height))

@@ -147,7 +147,9 @@ class SurfaceGraph:
         border = self.edges[self.faces_at == 1]
         vertices = np.unique(border)
         piece = _pieces(len(self.vertices), border)[vertices]
-        return sorted((vertices[piece == number] for number in np.unique(piece)), key=len, reverse=True)
+        order = np.argsort(piece, kind="stable")
+        pieces = np.split(vertices[order], np.flatnonzero(np.diff(piece[order])) + 1) if len(order) else []
+        return sorted(pieces, key=len, reverse=True)
 
     def _search(self, seeds: Iterable[int], limit: float = np.inf) -> tuple[FloatArray, IntArray, IntArray]:
         """Dijkstra's algorithm: the distance of each vertex from `seeds`, its predecessor, and the seed nearest to it;

@@ -1,5 +1,7 @@
 """Characters of several meshes on an armature are bound by one click, driven live and baked."""
 
+from collections import Counter
+
 import bpy
 import numpy as np
 import pytest
@@ -53,6 +55,23 @@ def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start
     assert armature == head.parent and bones.head == "Head" and bones.eye_left == ""
     for name, obj in objects.items():
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
+
+
+def test_a_character_that_was_joined_to_one_mesh_with_the_name_of_an_eye_has_all_its_parts():
+    objects = make_character(rig=True)
+    counts = {name: len(obj.data.vertices) for name, obj in objects.items() if name in TRUTH}
+    order = [objects["eye_left"], *(obj for name, obj in objects.items() if name != "eye_left")]
+    with bpy.context.temp_override(active_object=order[0], object=order[0], selected_editable_objects=order):
+        bpy.ops.object.join()
+    order[0].name = "EyeLeft"
+    head, _ = bind_character(order[0])
+    assert check_object(head) == []
+    kinds = Counter(map(Part, read_kinds(head.data).tolist()))
+    expected = Counter[Part]()
+    for name, count in counts.items():
+        (part,) = TRUTH[name]
+        expected[part] += count
+    assert {part: kinds[part] for part in expected} == expected
 
 
 @pytest.mark.parametrize("y_up", first_of([True, False]))

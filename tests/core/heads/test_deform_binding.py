@@ -87,15 +87,20 @@ def test_eyes_and_mouth_of_a_scan_that_has_no_openings_are_found():
     assert np.linalg.norm((found - POINTS)[INNER, :2], axis=1).mean() < 0.05 * UNIT
 
 
-def with_a_body() -> tuple[np.ndarray, np.ndarray]:
-    """The head on a body with outstretched arms, as tall as an adult."""
+def with_a_body(reach: float = 9.0, raised: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    """The head on a body as tall as an adult, with arms that are stretched out by `reach` and `raised`, in units."""
     tall = 5.5 * float(np.ptp(VERTICES[:, 1]))
     neck = VERTICES[:, 1].max()
     around, along = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 40, endpoint=False), np.linspace(0.0, 1.0, 50))
     cross = np.stack([np.cos(around), np.sin(around)], axis=-1)
     trunk = np.stack([2.0 * UNIT * cross[..., 0], neck + tall * along, 1.2 * UNIT * cross[..., 1]], axis=-1)
     arms = np.stack(
-        [9.0 * UNIT * (2.0 * along - 1.0), neck + UNIT * (1.0 + 0.5 * cross[..., 0]), trunk[..., 2] / 2], -1
+        [
+            reach * UNIT * (2.0 * along - 1.0),
+            neck + UNIT * (1.0 - raised + 0.5 * cross[..., 0]),
+            trunk[..., 2] / 2,
+        ],
+        -1,
     )
     number = np.arange(trunk[..., 0].size).reshape(along.shape)
     after = np.roll(number, -1, axis=1)
@@ -111,6 +116,11 @@ def test_the_head_of_a_whole_body_is_found_with_and_without_marks():
         binding = bind_landmarks(places, faces, picked)
         assert binding.body and mean_error(places, binding.landmarks) < 0.02
     assert not bind_landmarks(VERTICES, HEAD.faces).body
+
+
+def test_a_head_between_long_arms_at_its_height_is_found():
+    places, faces = with_a_body(reach=16.0, raised=1.5)
+    assert mean_error(places, bind_landmarks(places, faces).landmarks) < 0.02
 
 
 def with_closed_lips() -> tuple[np.ndarray, np.ndarray]:
