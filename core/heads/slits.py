@@ -17,10 +17,12 @@ from ..face.landmarks import (
     EYE_RIGHT,
     LIPS,
     LOWER_LIP,
+    LOWER_LIPS,
     MOUTH_CORNERS,
     MOUTH_INNER_LOWER,
     MOUTH_INNER_UPPER,
     UPPER_LIP,
+    UPPER_LIPS,
     outer_eye_distance,
 )
 from ..mesh.surface import NearestPoints, SurfaceGraph, surface_normals, triangulate
@@ -47,6 +49,8 @@ _SLITS = (
 (that at rest if smaller), and the attempts."""
 _REACH = 0.12
 """Distance from the landmarks of a slit within which skin belongs to it."""
+_GAPING = 0.5
+"""Distance between the inner rims of the lips, relative to that between the outer ones, above which a mouth is open."""
 _MIN_DEPTH = 1e-4
 """Depth above which a vertex counts as having passed through a plane."""
 _MAX_DEPTH = 0.06
@@ -269,10 +273,14 @@ def nearest_at_shares(points: FloatArray, shares: Sequence[float]) -> NDArray[np
 def lips_joined(graph: SurfaceGraph, landmarks: IntArray) -> bool:
     """Return whether the lips are one skin, that is, whether the path along the surface from lip to lip is short.
 
-    Paths are measured between the outer rims of the lips, whose landmarks are away from any slit.
+    Paths are measured between the outer rims of the lips, whose landmarks are away from any slit. Around a mouth that
+    is wide open they are hardly longer than the way across, and lips that are apart are not one skin.
     """
     upper, lower = landmarks[UPPER_LIP[1:4]], landmarks[LOWER_LIP[1:4]]
     across = np.linalg.norm(graph.vertices[upper] - graph.vertices[lower], axis=1)
+    apart = graph.vertices[landmarks[UPPER_LIPS]] - graph.vertices[landmarks[LOWER_LIPS]]
+    if np.linalg.norm(apart, axis=1).max() > _GAPING * float(across.max()):
+        return False
     width = float(np.linalg.norm(np.subtract(*graph.vertices[landmarks[MOUTH_CORNERS]])))
     lengths = [graph.path_lengths([int(u)], 2.0 * width)[v] for u, v in zip(upper, lower, strict=True)]
     return bool((np.array(lengths) < JOINED * across).any())

@@ -48,6 +48,12 @@ def test_joined_lips_are_found():
     assert [finding.problem for finding in findings] == ["The lips are joined, so the mouth cannot open."]
 
 
+@pytest.mark.parametrize("opening", [0.5, 1.0, 2.0])
+def test_lips_that_are_apart_at_rest_are_not_joined(opening):
+    places = VERTICES + opening * HEAD.units[HEAD.unit_names.index("jawOpen")]
+    assert check_head(places, HEAD.faces, HEAD.landmarks, HEAD.regions) == []
+
+
 def bound_to(numbers: list[int], places: np.ndarray) -> np.ndarray:
     """Landmarks of the head, with those of iBUG `numbers` bound to the free vertices nearest to `places` (N, 3)."""
     landmarks = HEAD.landmarks.copy()
