@@ -48,7 +48,7 @@ from ..names import (
 )
 from ..paint import read_paint
 from ..work import Task, Work, do_at_once
-from .family import face_candidates, family_of, heads_of, require_character
+from .family import face_candidates, family_of, heads_of, loose_companions, require_character
 from .parts import brow_mesh, current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
 from .soundness import generating_modifiers, require_sound, stray_vertices
 
@@ -92,7 +92,8 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     if known:
         return known[0], (yield from search_head(known[0]))
     failure: HeadError | None = None
-    for candidate in face_candidates(obj)[:_MAX_CANDIDATES]:
+    likely = face_candidates(obj)[:_MAX_CANDIDATES]
+    for candidate in dict.fromkeys([*likely, *loose_companions(obj)[:_MAX_CANDIDATES]]):
         try:
             return candidate, (yield from search_head(candidate))
         except HeadError as error:
@@ -365,3 +366,4 @@ def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> Non
     obj.matrix_world = obj.matrix_world @ turn.inverted()
     for child in obj.children:
         child.matrix_parent_inverse = turn @ child.matrix_parent_inverse
+    bpy.context.view_layer.update()  # otherwise its bounding box is that of before

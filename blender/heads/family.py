@@ -23,6 +23,8 @@ from ..characters import head_of, objects_of, rest_matrix
 from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones
 from ..names import PART_PROPERTY
 
+_LARGEST_PART = 2.0
+"""Size of a loose part of a head, such as hair, relative to the largest extent of the head."""
 _STILL = 1e-6
 """Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 
@@ -30,8 +32,8 @@ _STILL = 1e-6
 def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the meshes of a character, with `obj` first if it is one: those of its armature, root or collection.
 
-    In a collection, only meshes named after a part of a face count, as it may hold the entire scene. Meshes below the
-    same root that another armature deforms belong to another character.
+    In a collection, only meshes that are named after a part of a face or lie within the head count, as it may hold the
+    entire scene. Meshes below the same root that another armature deforms belong to another character.
     """
     armature = armature_of(obj)
     root = _root_of(obj)
@@ -124,19 +126,19 @@ def _heads_at(obj: bpy.types.Object, heads: Sequence[bpy.types.Object]) -> list[
 def character_in(context: bpy.types.Context) -> bpy.types.Object | None:
     """Return the object that leads to the character whose face is to be found, or None.
 
-    It is the active object if that is a selected mesh; otherwise the object among the selected and active ones that
-    most likely belongs to a character; with nothing selected, one of the only character in sight, or in the scene if
-    none is in sight.
+    It is the active object if that is a selected mesh, unless it is loose and named after something else than a face;
+    otherwise the object among the selected and active ones that most likely belongs to a character; with nothing
+    selected, one of the only character in sight, or in the scene if none is in sight.
     """
     active, selected = context.active_object, context.selected_objects
     chosen = list(dict.fromkeys([*([active] if active in selected else []), *selected, *([active] if active else [])]))
-    if chosen and chosen[0] in selected and _may_have_face(chosen[0]):
+    if chosen and chosen[0] in selected and _may_have_face(chosen[0]) and not _is_loose_part(chosen[0]):
         return chosen[0]
     found = [obj for obj in chosen if leads_to_face(obj)]
     if not found or not selected:
         there = _characters(context.visible_objects) or _characters(context.scene.objects)
         found = [there[0][0], *found] if len(there) == 1 else found
-    return max(found, key=is_character, default=None)
+    return max(found, key=lambda obj: (is_character(obj), not _is_loose_part(obj)), default=None)
 
 
 def likely_character(objects: Iterable[bpy.types.Object]) -> bpy.types.Object | None:
@@ -221,13 +223,56 @@ def _face_score(obj: bpy.types.Object) -> float:
 
 
 def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
-    """Return whether a loose object is named after a part of a face, and lies in the same collection near `obj`."""
-    if obj.type != "MESH" or other.parent is not None or named_part([other.name]) is None:
+    """Return whether a loose object in the same collection belongs to the character of `obj`.
+
+    It does if it is named after a part of a face and lies near, or if `obj` is loose as well, and it lies within it
+    without being much larger: eyes and hair of a head in a file whose objects are not joined in any way.
+    """
+    if obj.type != "MESH" or other.parent is not None or not set(other.users_collection) & set(obj.users_collection):
         return False
-    if not set(other.users_collection) & set(obj.users_collection):
+    if named_part([other.name]) is not None:
+        return _overlap(_box(obj), _box(other))
+    if not (_is_loose(obj) and _is_loose(other)):
         return False
     (low, high), (other_low, other_high) = _box(obj), _box(other)
-    return bool((other_low < high).all() and (other_high > low).all())
+    middle = (other_low + other_high) / 2.0
+    within = (low < middle).all() and (middle < high).all()
+    return bool(within and (other_high - other_low < _LARGEST_PART * (high - low).max()).all())
+
+
+def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return loose meshes that touch `obj`, or each other, if it is loose as well: those of a character without any
+    bones, the one that most likely has its face first.
+    """
+    if not _is_loose(obj):
+        return []
+    near = [
+        other
+        for other in bpy.context.scene.objects
+        if other != obj and _is_loose(other) and set(other.users_collection) & set(obj.users_collection)
+    ]
+    boxes = {other: _box(other) for other in near}
+    found, edge = list[bpy.types.Object](), [_box(obj)]
+    while edge:
+        box = edge.pop()
+        touching = [other for other in near if other not in found and _overlap(box, boxes[other])]
+        found += touching
+        edge += [boxes[other] for other in touching]
+    able = [other for other in found if _may_have_face(other) and other.get(PART_PROPERTY) is None]
+    return sorted(able, key=lambda other: (-_face_score(other), -len(mesh_of(other).vertices)))
+
+
+def _is_loose(obj: bpy.types.Object) -> bool:
+    return obj.type == "MESH" and obj.parent is None and armature_of(obj) is None
+
+
+def _is_loose_part(obj: bpy.types.Object) -> bool:
+    """Return whether a loose mesh is named after something else than a face, such as teeth or shoes."""
+    return _is_loose(obj) and _face_score(obj) <= 0.0
+
+
+def _overlap(box: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]) -> bool:
+    return bool((other[0] < box[1]).all() and (other[1] > box[0]).all())
 
 
 def _box(obj: bpy.types.Object) -> tuple[FloatArray, FloatArray]:

@@ -5,7 +5,7 @@ from collections import Counter
 import bpy
 import numpy as np
 import pytest
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from facemime.blender.animation.live import LiveHeadObject
 from facemime.blender.animation.puppet import puppet_head
@@ -53,6 +53,27 @@ def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start
     assert set(objects_of(head)) == {objects[name] for name in TRUTH}
     armature, bones = read_bones(head)
     assert armature == head.parent and bones.head == "Head" and bones.eye_left == ""
+    for name, obj in objects.items():
+        np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
+
+
+@pytest.mark.parametrize("start", first_of(["body", "eye_left", "head"]))
+@pytest.mark.parametrize("turned", first_of([True, False]))
+def test_loose_meshes_without_names_that_touch_are_a_character(start, turned):
+    objects = make_character(rig=False, hair=True)
+    bpy.context.scene.collection.objects.unlink(objects["body"])
+    objects["head"].users_collection[0].objects.link(objects["body"])
+    if turned:  # as the importer of OBJ does
+        up = Matrix.Rotation(np.pi / 2.0, 4, "X")
+        for obj in objects.values():
+            obj.data.transform(up.inverted())
+            obj.matrix_world = up @ obj.matrix_world
+    bpy.ops.mesh.primitive_cube_add(location=(10.0, 0.0, 0.0))
+    before = {name: shown(obj) for name, obj in objects.items()}
+    head, _ = bind_character(objects[start])
+    assert head == objects["head"] and check_object(head) == []
+    assert {name: set(map(Part, read_kinds(objects[name].data).tolist())) for name in TRUTH} == TRUTH
+    assert set(objects_of(head)) == {objects[name] for name in (*TRUTH, "hair")}
     for name, obj in objects.items():
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
 

@@ -188,3 +188,14 @@ def test_taking_back_a_second_binding_restores_the_first_one():
     former.restore(bpy.context)
     np.testing.assert_array_equal(read_landmarks(head), landmarks)
     assert [group.name for group in head.vertex_groups] == weights
+
+
+def test_of_loose_meshes_that_an_importer_has_selected_the_head_leads_to_the_face():
+    objects = make_character(rig=False)
+    for name, obj in objects.items():
+        obj.name = {"head": "Wolf3D_Head", "body": "Wolf3D_Outfit_Top"}.get(name, name)
+        obj.select_set(True)
+    bpy.context.view_layer.objects.active = objects["teeth_lower"]
+    assert character_in(bpy.context) == objects["head"]
+    bpy.context.view_layer.objects.active = objects["body"]
+    assert character_in(bpy.context) == objects["head"]
