@@ -78,6 +78,8 @@ REGIONS: tuple[Region, Region, Region] = (
 
 _HOLD = 0.3
 """Radius, in outer-eye distances, within which weights change for a landmark."""
+_BLOCK = 4096
+"""Vertices of which the distances from the landmarks fit into a cache."""
 _MIN_WEIGHT = 0.01
 """Least weight after that."""
 
@@ -139,7 +141,10 @@ def hold_landmarks(
     # Residuals are interpolated with Wendland's function, which is 0 beyond the radius.
     between = wendland(distances(points, points), radius / 4.0)
     amounts = linalg.lstsq(between, lacking.T, cond=1e-9)[0]
-    moved = painted + (wendland(distances(places, points), radius / 4.0) @ amounts).T
+    moved = painted.copy()
+    for start in range(0, len(places), _BLOCK):
+        block = slice(start, start + _BLOCK)
+        moved[:, block] += (wendland(distances(places[block], points), radius / 4.0) @ amounts).T
     moved = np.clip(np.where(moved < _MIN_WEIGHT, 0.0, moved), 0.0, 1.0)
     return np.asarray(moved / np.maximum(moved.sum(axis=0), 1.0))
 

@@ -76,7 +76,7 @@ def wendland(distance: FloatArray, sigma: float) -> FloatArray:
     Wendland 1995; compactly supported, and positive definite in three dimensions.
     """
     r = np.minimum(distance / (4.0 * sigma), 1.0)
-    return np.asarray((1.0 - r) ** 4 * (4.0 * r + 1.0))
+    return np.asarray(np.square(np.square(1.0 - r)) * (4.0 * r + 1.0))
 
 
 def biharmonic(distance: FloatArray, sigma: float) -> FloatArray:
