@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -15,7 +16,7 @@ from ...core.errors import HeadError, Message
 from ...core.face.landmarks import from_ibug
 from ...core.heads.bind import Binding, bind_landmarks
 from ...core.heads.brows import place_on_brows
-from ...core.heads.checks import Finding, check_head
+from ...core.heads.checks import EYES_SHUT, Finding, check_head
 from ...core.heads.eyeballs import EYES
 from ...core.heads.portrait import Paint, lids_seen
 from ...core.heads.proposal import propose_regions
@@ -141,7 +142,9 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
         if turn is not None:
             turn_mesh(obj, turn.T)
         raise
-    landmarks = _with_lids(obj, landmarks, binding.rotation, marks)
+    landmarks, seen = _with_lids(obj, landmarks, binding.rotation, marks)
+    if seen:  # the tracker may take blank eyeballs, as of a mesh without colours, for shut lids
+        binding = replace(binding, findings=tuple(found for found in binding.findings if found != EYES_SHUT))
     landmarks = _with_brows(obj, landmarks, binding.rotation)
     write_landmarks(mesh, landmarks)
     if SELECTION_PROPERTY in mesh:
@@ -180,19 +183,22 @@ def _among_parts(
 
 def _with_lids(
     head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating[Any]], marks: dict[int, int]
-) -> NDArray[np.intp]:
-    """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them."""
+) -> tuple[NDArray[np.intp], bool]:
+    """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them, and
+    whether an eye is seen between its lids.
+    """
     skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
     places = read_vertices(mesh_of(head))[skin.kept] @ rotation.T
-    improved = np.array(landmarks, dtype=np.intp)
+    improved, seen = np.array(landmarks, dtype=np.intp), False
     for part, lids in zip((Part.EYE_RIGHT, Part.EYE_LEFT), EYES, strict=True):
         eye, faces = part_mesh(head, part)
         if len(faces) == 0 or set(lids.tolist()) & set(from_ibug(list(marks)).tolist()):
             continue
         found = lids_seen(places, skin.faces, eye @ rotation.T, faces, left=part == Part.EYE_LEFT)
+        seen |= found is not None
         if found is not None and not np.isin(skin.kept[found], np.delete(improved, lids)).any():
             improved[lids] = skin.kept[found]
-    return improved
+    return improved, seen
 
 
 def _with_brows(head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating[Any]]) -> NDArray[np.intp]:

@@ -169,6 +169,11 @@ def _list(landmarks: IntArray) -> str:
     )
 
 
+EYES_SHUT = Finding(
+    Message("The eyes are shut at rest, so blinks would push the lids further."), Message("Open them in the mesh.")
+)
+
+
 def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
     """Detect shut eyes, an open mouth and a smile in the tracker's landmarks of a face at rest.
 
@@ -176,12 +181,7 @@ def resting_findings(shape: FloatArray) -> tuple[Finding, ...]:
     """
     findings = []
     if float(eye_apertures(shape).max()) < _SHUT:
-        findings.append(
-            Finding(
-                Message("The eyes are shut at rest, so blinks would push the lids further."),
-                Message("Open them in the mesh."),
-            )
-        )
+        findings.append(EYES_SHUT)
     if float(mouth_aperture(shape)) > _OPEN:
         findings.append(
             Finding(Message("The mouth is open at rest, so it would never close."), Message("Close it in the mesh."))

@@ -1,6 +1,7 @@
 """Characters of several meshes on an armature are bound by one click, driven live and baked."""
 
 from collections import Counter
+from dataclasses import replace
 
 import bpy
 import numpy as np
@@ -19,6 +20,7 @@ from facemime.blender.characters import (
     rest_matrix,
 )
 from facemime.blender.frames import rotation_to_blender
+from facemime.blender.heads import binding as binding_module
 from facemime.blender.heads.binding import bind_character, check_object
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import HEAD_PROPERTY
@@ -27,6 +29,8 @@ from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.landmarks import outer_eye_distance
+from facemime.core.heads.bind import bind_landmarks
+from facemime.core.heads.checks import EYES_SHUT
 from facemime.core.heads.rig import Part
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
@@ -55,6 +59,18 @@ def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start
     assert armature == head.parent and bones.head == "Head" and bones.eye_left == ""
     for name, obj in objects.items():
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
+
+
+def test_eyes_that_are_seen_between_their_lids_are_not_called_shut_although_the_tracker_saw_no_iris(monkeypatch):
+    def without_irises(*arguments):
+        return replace(bind_landmarks(*arguments), findings=(EYES_SHUT,))
+
+    monkeypatch.setattr(binding_module, "bind_landmarks", without_irises)
+    objects = make_character(rig=True)
+    assert bind_character(objects["head"])[1].findings == ()
+    for name in ("eye_left", "eye_right"):
+        bpy.data.objects.remove(objects[name])
+    assert bind_character(objects["head"])[1].findings == (EYES_SHUT,)
 
 
 @pytest.mark.parametrize("start", first_of(["body", "eye_left", "head"]))
