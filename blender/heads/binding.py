@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import bpy
 import numpy as np
@@ -50,7 +50,16 @@ from ..names import (
 from ..paint import read_paint
 from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, loose_companions, require_character
-from .parts import brow_mesh, current_skin, forget_parts, is_sorted, named_others, skin_of_object, sort_character
+from .parts import (
+    brow_mesh,
+    current_skin,
+    forget_parts,
+    held_by_head,
+    is_sorted,
+    named_others,
+    skin_of_object,
+    sort_character,
+)
 from .soundness import generating_modifiers, require_sound, stray_vertices
 
 _MAX_CANDIDATES = 3
@@ -58,6 +67,8 @@ _MAX_CANDIDATES = 3
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller angle is the pose of the head."""
 _ROTATIONS = "rotation_euler", "rotation_quaternion", "rotation_axis_angle"
+_Rotation: TypeAlias = NDArray[np.floating[Any]]
+"""A rotation matrix (3, 3)."""
 CACHES = {"MESH_CACHE", "MESH_SEQUENCE_CACHE"}
 
 
@@ -118,12 +129,11 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     others = read_kinds(mesh) != Part.SKIN if is_sorted(obj) else named_others(obj)
     others[eye_vertices(obj)] = True
     others |= stray_vertices(obj)
-    skin = skin_of_object(obj, others)
     marks, paint = read_marks(mesh), read_paint(obj)
     aligned = np.allclose(scene_axes, np.eye(3), atol=1e-3)
     axes = [scene_axes] if marks or aligned else [scene_axes, np.eye(3)]
     try:
-        binding, along = yield from _bound(obj, skin, paint, marks, axes)
+        binding, along, skin = yield from _found(obj, others, paint, marks, axes)
     except HeadError as error:
         if names := ", ".join(generating_modifiers(obj)):
             raise HeadError(
@@ -151,6 +161,24 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
         del mesh[SELECTION_PROPERTY]
     propose_head_regions(obj)
     return binding
+
+
+def _found(
+    obj: bpy.types.Object, others: NDArray[np.bool_], paint: Paint | None, marks: dict[int, int], axes: list[_Rotation]
+) -> Work[tuple[Binding, _Rotation, Skin]]:
+    """Return what `_bound` does for `obj` without `others`, and its skin.
+
+    A head that is not at the top of its body, or small on it, is found by its bone; all else then counts as `others`.
+    """
+    skin = skin_of_object(obj, others)
+    try:
+        return *(yield from _bound(obj, skin, paint, marks, axes)), skin
+    except HeadError:
+        if marks or (held := held_by_head(obj)) is None:
+            raise
+    others |= ~held
+    skin = skin_of_object(obj, others)
+    return *(yield from _bound(obj, skin, paint, marks, axes)), skin
 
 
 def _among_parts(
@@ -182,7 +210,7 @@ def _among_parts(
 
 
 def _with_lids(
-    head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating[Any]], marks: dict[int, int]
+    head: bpy.types.Object, landmarks: IntArray, rotation: _Rotation, marks: dict[int, int]
 ) -> tuple[NDArray[np.intp], bool]:
     """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them, and
     whether an eye is seen between its lids.
@@ -201,7 +229,7 @@ def _with_lids(
     return improved, seen
 
 
-def _with_brows(head: bpy.types.Object, landmarks: IntArray, rotation: NDArray[np.floating[Any]]) -> NDArray[np.intp]:
+def _with_brows(head: bpy.types.Object, landmarks: IntArray, rotation: _Rotation) -> NDArray[np.intp]:
     """Return the landmarks, with those of each brow moved to it if it is a piece of its own and they lie beside it."""
     brows, faces = brow_mesh(head)
     skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
@@ -291,18 +319,14 @@ def move_landmark(obj: bpy.types.Object, landmark: int, vertex: int) -> None:
 
 
 def _bound(
-    obj: bpy.types.Object,
-    skin: Skin,
-    paint: Paint | None,
-    marks: dict[int, int],
-    axes: list[NDArray[np.floating[Any]]],
-) -> Work[tuple[Binding, NDArray[np.floating[Any]]]]:
+    obj: bpy.types.Object, skin: Skin, paint: Paint | None, marks: dict[int, int], axes: list[_Rotation]
+) -> Work[tuple[Binding, _Rotation]]:
     """Return the binding of the skin of `obj`, and the one of `axes`, (3, 3) rotations, along which it was found.
 
     It is the first along which a face is clearly visible, or otherwise the one along which the template was deformed
     least. Raises HeadError if no face is found along any of them.
     """
-    found: list[tuple[Binding, NDArray[np.floating[Any]]]] = []
+    found: list[tuple[Binding, _Rotation]] = []
     failure: HeadError | None = None
     marked = {landmark: int(skin.number[vertex]) for landmark, vertex in marks.items() if vertex < len(skin.number)}
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
@@ -326,7 +350,7 @@ def _bound(
     return min(found, key=lambda pair: pair[0].strain)
 
 
-def _is_small(rotation: NDArray[np.floating[Any]]) -> bool:
+def _is_small(rotation: _Rotation) -> bool:
     return bool((np.trace(rotation) - 1.0) / 2.0 >= _UPRIGHT)
 
 
@@ -345,7 +369,7 @@ def turn_note(head: bpy.types.Object, before: Mapping[bpy.types.Object, Matrix])
     )
 
 
-def turn_mesh(obj: bpy.types.Object, rotation: NDArray[np.floating[Any]]) -> None:
+def turn_mesh(obj: bpy.types.Object, rotation: _Rotation) -> None:
     """Rotate the vertices of `obj`, in Blender's axes, and the object back, so that nothing moves in the scene.
 
     Raises HeadError if the vertices come from a file, other objects share the mesh, or the rotation of the object is

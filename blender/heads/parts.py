@@ -38,6 +38,7 @@ from ..meshes import (
     read_landmarks,
     read_places,
     read_vertices,
+    rest_bones,
 )
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
 from .family import armature_of, family_of, material_names
@@ -282,6 +283,17 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
             named[plain] = name
     eyes = find_bones(list(named), {})
     return replace(found, eye_right=named.get(eyes.eye_right, ""), eye_left=named.get(eyes.eye_left, ""))
+
+
+def held_by_head(obj: bpy.types.Object) -> NDArray[np.bool_] | None:
+    """Return (V,) whether the bone of the head, or one below, moves most of a vertex; None if of none or of all."""
+    armature = armature_of(obj)
+    if armature is None or not (name := find_bones(list(rest_bones(armature).keys()), {}).head):
+        return None
+    bone = rest_bones(armature)[name]
+    bones = [name, *(child.name for child in bone.children_recursive)]
+    held = np.sum([group_weights(obj, each) for each in bones], axis=0) > _OWN_SHARE
+    return None if held.all() or not held.any() else held
 
 
 def _bones_with_meshes(head: bpy.types.Object) -> set[str]:

@@ -124,12 +124,12 @@ def _around(places: FloatArray, points: FloatArray) -> NDArray[np.intp]:
 
 
 def _heads_of(places: FloatArray) -> list[NDArray[np.intp]]:
-    """Sets of vertices that may form the head: all, or the tops of a mesh as tall as a body."""
+    """Sets of vertices that may form the head: the tops of a mesh as tall as a body, and all."""
     low, extent = places.min(axis=0), np.ptp(places, axis=0)
     if extent[1] < _BODY_RATIO * extent.min():
         return [np.arange(len(places))]
     tops = [_top(places, low[1], share * extent[1]) for share in _HEAD_SHARES]
-    return [top for top in tops if len(top) > N_LANDMARKS]
+    return [*(top for top in tops if len(top) > N_LANDMARKS), np.arange(len(places))]
 
 
 def _top(places: FloatArray, highest: float, height: float) -> NDArray[np.intp]:

@@ -61,6 +61,20 @@ def test_any_mesh_of_a_character_leads_to_its_face_its_parts_and_its_bones(start
         np.testing.assert_allclose(shown(obj), before[name], atol=1e-5)
 
 
+def test_the_bone_of_the_head_leads_to_a_face_in_front_of_a_large_body():
+    objects = make_character(rig=True)
+    landmarks = read_landmarks(bind_character(objects["head"])[0])
+    places = shown(objects["head"])[landmarks]
+    objects = make_character(rig=True)
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=1.5, location=(0.0, 1.9, 0.6))
+    trunk, head = bpy.context.active_object, objects["head"]
+    trunk.vertex_groups.new(name="Spine").add(range(len(trunk.data.vertices)), 1.0, "REPLACE")
+    with bpy.context.temp_override(active_object=head, object=head, selected_editable_objects=[head, trunk]):
+        bpy.ops.object.join()
+    found = shown(head)[read_landmarks(bind_character(head)[0])]
+    assert np.linalg.norm(found - places, axis=1).max() < 0.05 * outer_eye_distance(places)
+
+
 def test_eyes_that_are_seen_between_their_lids_are_not_called_shut_although_the_tracker_saw_no_iris(monkeypatch):
     def without_irises(*arguments):
         return replace(bind_landmarks(*arguments), findings=(EYES_SHUT,))
