@@ -25,6 +25,8 @@ from ..names import PART_PROPERTY
 
 _LARGEST_PART = 2.0
 """Size of a loose part of a head, such as hair, relative to the largest extent of the head."""
+_FEWEST = 12
+"""Number of vertices below which a mesh without a name is none; the default cube has 8."""
 _STILL = 1e-6
 """Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 
@@ -232,7 +234,7 @@ def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
         return False
     if named_part([other.name]) is not None:
         return _overlap(_box(obj), _box(other))
-    if not (_is_loose(obj) and _is_loose(other)):
+    if not (_is_loose(obj) and _is_loose(other)) or len(mesh_of(other).vertices) < _FEWEST:
         return False
     (low, high), (other_low, other_high) = _box(obj), _box(other)
     middle = (other_low + other_high) / 2.0

@@ -98,7 +98,11 @@ def test_loose_meshes_without_names_that_touch_are_a_character(start, turned):
         for obj in objects.values():
             obj.data.transform(up.inverted())
             obj.matrix_world = up @ obj.matrix_world
-    bpy.ops.mesh.primitive_cube_add(location=(10.0, 0.0, 0.0))
+    for place in (0.0, 10.0):
+        bpy.ops.mesh.primitive_cube_add(size=0.2, location=(place, 0.0, 0.0))
+        collection = objects["head"].users_collection[0]
+        if bpy.context.object.name not in collection.objects:
+            collection.objects.link(bpy.context.object)
     before = {name: shown(obj) for name, obj in objects.items()}
     head, _ = bind_character(objects[start])
     assert head == objects["head"] and check_object(head) == []
