@@ -42,33 +42,28 @@ class ActionExperts(FacePart):
 
     @cached_property
     def measured(self) -> IntArray:
-        """Indices of all actions that are measured, in the order of `respond`."""
+        """Indices of all actions that are measured, in the order of the network's output."""
         both = [self.actions, ACTION_MIRROR[self.actions]][: 1 + self.paired]
         return np.asarray(np.concatenate(both), dtype=np.intp)
 
-    def respond(self, grey: Grey, pose: FloatArray, landmarks: FloatArray) -> FloatArray:
-        """Estimate the activations, (k,) or (2 k,), of the actions in `measured`, for landmarks (66, 2) in pixels."""
+    def crops_at(self, grey: Grey, pose: FloatArray, landmarks: FloatArray) -> NDArray[np.float32]:
+        """Crop the input of the network (1 or 2, height, width) for landmarks (66, 2) in pixels."""
         poses = pose[None].repeat(len(self.sides), axis=0)
         poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
-        (activations,) = self.network(self.crops(grey, poses))
-        return np.asarray(activations.ravel(), dtype=np.float64)
+        return self.crops(grey, poses)
 
 
 def measure_actions(
-    experts: Sequence[ActionExperts],
-    grey: Grey,
-    pose: FloatArray,
-    landmarks: FloatArray,
-    before: FloatArray | None = None,
+    experts: Sequence[ActionExperts], crops: Sequence[NDArray[np.float32]], before: FloatArray | None = None
 ) -> FloatArray:
-    """Estimate the activations (15,) of all actions: about 0 at rest, and 1 for a full action.
+    """Estimate the activations (15,) of all actions from the crops of each expert: about 0 at rest, 1 at full strength.
 
     They may differ from 0 at rest, as people look different. Parts without any of the `experts` keep those of `before`
     (15,), an earlier frame; without it they are 0.
     """
     activations = np.zeros(N_ACTIONS) if before is None else before.copy()
-    for part in experts:
-        activations[part.measured] = part.respond(grey, pose, landmarks)
+    for part, crop in zip(experts, crops, strict=True):
+        activations[part.measured] = part.network(crop)[0].ravel()
     return activations
 
 

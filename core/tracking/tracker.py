@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 
@@ -357,18 +356,19 @@ class FaceTracker:
         self.timings["teeth"] += perf_counter() - began
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
             shape, landmarks = held, project_shape(held, pose)
-        # While the second thread, if there is one, measures the actions, this one finds the pupils.
-        measured = partial(
-            measure_actions, self._model.actions if parts is None else parts, grey, pose, landmarks, before
-        )
-        thread = self.fitter.second_thread
-        begun = None if thread is None else thread.submit(measured)
+        # While the second thread, if there is one, runs the networks of the actions, this one finds the pupils; it also
+        # crops for both, as Python runs one thread at a time.
         began = perf_counter()
+        experts = self._model.actions if parts is None else parts
+        crops = [part.crops_at(grey, pose, landmarks) for part in experts]
+        thread = self.fitter.second_thread
+        begun = None if thread is None else thread.submit(measure_actions, experts, crops, before)
+        cropped = perf_counter()
         gaze = find_gaze(self._model.pupils, grey, pose, landmarks, shape)
         looked = perf_counter()
-        actions = measured() if begun is None else begun.result()
-        self.timings["gaze"] += looked - began
-        self.timings["actions"] += perf_counter() - looked
+        actions = measure_actions(experts, crops, before) if begun is None else begun.result()
+        self.timings["gaze"] += looked - cropped
+        self.timings["actions"] += cropped - began + perf_counter() - looked
         return TrackResult(
             found=True,
             landmarks=landmarks,

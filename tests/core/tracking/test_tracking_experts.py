@@ -15,6 +15,7 @@ from facemime.core.files.capture import read_image
 from facemime.core.tracking.experts import ResponseMaps, standardise
 from facemime.core.tracking.model_file import TrackerModel, load_model
 from facemime.core.tracking.network import Network
+from facemime.core.tracking.patch_experts import measure_actions
 from facemime.core.tracking.reference import pose_in_image, warp_to_reference
 from facemime.core.tracking.tracker import DEFAULT_MODEL, FaceTracker
 
@@ -163,7 +164,6 @@ def test_actions_of_both_sides_are_measured_alike(model, name) -> None:
     points[:, 0] = grey.shape[1] - 1.0 - points[:, 0]
     pose = found.pose * (1.0, 1.0, -1.0, -1.0, 1.0, 1.0)
     (eye,) = (part for part in model.actions if part.paired)
-    one, other = np.zeros(N_ACTIONS), np.zeros(N_ACTIONS)
-    one[eye.measured] = eye.respond(grey, found.pose, found.landmarks)
-    other[eye.measured] = eye.respond(flipped, pose, points)
+    one = measure_actions([eye], [eye.crops_at(grey, found.pose, found.landmarks)])
+    other = measure_actions([eye], [eye.crops_at(flipped, pose, points)])
     np.testing.assert_allclose(one, other[ACTION_MIRROR], atol=0.05)
