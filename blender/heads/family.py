@@ -43,6 +43,8 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     for other in bpy.context.scene.objects:
         if other == obj or other.type != "MESH" or other.get(PART_PROPERTY) is not None or is_head(other):
             continue
+        if not len(mesh_of(other).vertices):
+            continue
         theirs = armature_of(other)
         same = armature is not None and theirs == armature
         below = _root_of(other) == root and (armature is None or theirs is None)
@@ -251,8 +253,9 @@ def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:
     near = [
         other
         for other in bpy.context.scene.objects
-        if other != obj and _is_loose(other) and set(other.users_collection) & set(obj.users_collection)
+        if other != obj and _is_loose(other) and _may_have_face(other) and other.get(PART_PROPERTY) is None
     ]
+    near = [other for other in near if set(other.users_collection) & set(obj.users_collection)]
     boxes = {other: _box(other) for other in near}
     found, edge = list[bpy.types.Object](), [_box(obj)]
     while edge:
@@ -260,8 +263,7 @@ def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:
         touching = [other for other in near if other not in found and _overlap(box, boxes[other])]
         found += touching
         edge += [boxes[other] for other in touching]
-    able = [other for other in found if _may_have_face(other) and other.get(PART_PROPERTY) is None]
-    return sorted(able, key=lambda other: (-_face_score(other), -len(mesh_of(other).vertices)))
+    return sorted(found, key=lambda other: (-_face_score(other), -len(mesh_of(other).vertices)))
 
 
 def _is_loose(obj: bpy.types.Object) -> bool:

@@ -252,8 +252,9 @@ def _owners(group: _Pieces, armature: bpy.types.Object | None, bones: FaceBones)
         if own:
             return [own] * len(group.pieces)
     shares = {name: np.sum([group_weights(group.obj, bone) for bone in turned[name]], axis=0) for name in names}
-    counts = np.bincount(group.number)
-    means = np.stack([np.bincount(group.number, shares[name]) / counts for name in names])
+    count = len(group.pieces)
+    sizes = np.maximum(np.bincount(group.number, minlength=count), 1)
+    means = np.stack([np.bincount(group.number, shares[name], count) / sizes for name in names])
     best = means.argmax(axis=0)
     return [names[row] if mean > _OWN_SHARE else "" for row, mean in zip(best, means.max(axis=0), strict=True)]
 

@@ -16,7 +16,7 @@ class GreyImage:
     """A BGR image (H, W, 3) in grey.
 
     A followed face is a small part of a frame: converting all of a frame of 1280 x 720 takes an eighth of the time that
-    tracking takes. Threads may share an image: they may convert pixels twice, to the same values.
+    tracking takes.
     """
 
     def __init__(self, pixels: NDArray[np.uint8]) -> None:

@@ -87,6 +87,16 @@ def test_eyes_that_are_seen_between_their_lids_are_not_called_shut_although_the_
     assert bind_character(objects["head"])[1].findings == (EYES_SHUT,)
 
 
+@pytest.mark.parametrize("rig", [True, False])
+def test_meshes_without_vertices_are_no_parts_of_a_character(rig):
+    objects = make_character(rig=rig)
+    nothing = bpy.data.objects.new("Eye", bpy.data.meshes.new("Eye"))
+    objects["head"].users_collection[0].objects.link(nothing)
+    nothing.parent = objects["head"].parent
+    head, _ = bind_character(objects["head"])
+    assert head == objects["head"] and nothing not in objects_of(head)
+
+
 @pytest.mark.parametrize("start", first_of(["body", "eye_left", "head"]))
 @pytest.mark.parametrize("turned", first_of([True, False]))
 def test_loose_meshes_without_names_that_touch_are_a_character(start, turned):
