@@ -26,7 +26,7 @@ from ..names import PART_PROPERTY
 _LARGEST_PART = 2.0
 """Size of a loose part of a head, such as hair, relative to the largest extent of the head."""
 _FEWEST = 12
-"""Number of vertices below which a mesh without a name is none; the default cube has 8."""
+"""Fewest vertices of a loose mesh that counts as a part by its position alone; the default cube has 8."""
 _STILL = 1e-6
 """Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 
@@ -41,9 +41,9 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     root = _root_of(obj)
     found = []
     for other in bpy.context.scene.objects:
-        if other == obj or other.type != "MESH" or other.get(PART_PROPERTY) is not None or is_head(other):
+        if other == obj or other.type != "MESH" or not len(mesh_of(other).vertices):
             continue
-        if not len(mesh_of(other).vertices):
+        if other.get(PART_PROPERTY) is not None or is_head(other):
             continue
         theirs = armature_of(other)
         same = armature is not None and theirs == armature
@@ -245,24 +245,24 @@ def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
 
 
 def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return loose meshes that touch `obj`, or each other, if it is loose as well: those of a character without any
-    bones, the one that most likely has its face first.
+    """Return the loose meshes that a loose `obj` touches, directly or through others: those of a character without
+    bones. The one that most likely has the face comes first.
     """
     if not _is_loose(obj):
         return []
-    near = [
+    loose = [
         other
         for other in bpy.context.scene.objects
         if other != obj and _is_loose(other) and _may_have_face(other) and other.get(PART_PROPERTY) is None
     ]
-    near = [other for other in near if set(other.users_collection) & set(obj.users_collection)]
-    boxes = {other: _box(other) for other in near}
-    found, edge = list[bpy.types.Object](), [_box(obj)]
-    while edge:
-        box = edge.pop()
-        touching = [other for other in near if other not in found and _overlap(box, boxes[other])]
+    loose = [other for other in loose if set(other.users_collection) & set(obj.users_collection)]
+    boxes = {other: _box(other) for other in loose}
+    found, reached = list[bpy.types.Object](), [_box(obj)]
+    while reached:
+        box = reached.pop()
+        touching = [other for other in loose if other not in found and _overlap(box, boxes[other])]
         found += touching
-        edge += [boxes[other] for other in touching]
+        reached += [boxes[other] for other in touching]
     return sorted(found, key=lambda other: (-_face_score(other), -len(mesh_of(other).vertices)))
 
 
