@@ -29,6 +29,10 @@ _HAIR = (22, 26, 34)
 """Colours of the mouth and the hair, BGR."""
 _TEETH = 12
 """Visible teeth in a row."""
+_LIT = 0.3
+"""Share of a row, from the middle, that light reaches."""
+_DARK = 0.85
+"""How much darker the last molar is."""
 _CAP = 0.2
 """Share of the texture that only the cap is wider than."""
 _STRANDS = 26
@@ -90,7 +94,9 @@ def _row_of_teeth(width: int, height: int, gums_first: bool, rng: np.random.Gene
         edge = [np.sign(f) * np.abs(f) ** 0.5 for f in (np.cos(angle), np.sin(angle))]
         outline = np.stack([centre[k] + size[k] * edge[k] for k in (0, 1)], axis=1)
         cv2.fillPoly(row, [np.round(outline * 16).astype(np.int32)], _ENAMEL, cv2.LINE_AA, 4)
-    shade = 1.0 - 0.35 * np.abs(np.linspace(-1.0, 1.0, width)) ** 2
+    # The cheeks of the head do not hide its molars, which have no width: seen along the row, they are a bright stroke.
+    back = np.clip((np.abs(np.linspace(-1.0, 1.0, width)) - _LIT) / (1.0 - _LIT), 0.0, 1.0)
+    shade = 1.0 - _DARK * np.sin(0.5 * np.pi * back)
     row = (cv2.GaussianBlur(row, (0, 0), 0.8) * shade[None, :, None]).astype(np.uint8)
     return row if gums_first else row[::-1]
 
