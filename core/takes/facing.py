@@ -36,15 +36,17 @@ def facing(take: Take) -> FloatArray:
 def usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
     """Return the gaze at which the avatar looks straight ahead, `(pitch, yaw)` in radians; NaN if no gaze is known.
 
-    It is that at the camera, unless the performer usually looks too far away from it: then it is the usual one in the
-    head, which people turn to what they look at. `rotation` (3, 3) is the one of the performer's head that does not
-    turn the avatar's.
+    It is that at the camera, unless the performer usually looks too far away from it: then it has the usual pitch in
+    the head, which people turn to what they look at, and no yaw. `rotation` (3, 3) is the one of the performer's head
+    that does not turn the avatar's.
     """
     apart, at_camera = _frequent_gaze(take, rotation)
     ahead = np.asarray(matrix_to_euler(rotation)[:2])
-    beside = np.abs(apart + ahead) / _ASKEW - 1.0
-    camera, head = np.clip(apart, -ahead - _ASKEW, -ahead + _ASKEW), np.clip(apart + at_camera, -_ASKEW, _ASKEW)
-    return np.asarray(camera + np.clip(beside, 0.0, 1.0) * (head - camera))
+    beside = np.hypot(*(apart + ahead)) / _ASKEW - 1.0
+    camera = np.clip(apart, -ahead - _ASKEW, -ahead + _ASKEW)
+    # Of 108 people who look at the camera, the pitch is measured 5 +- 4 degrees too high, the yaw 0 +- 1.4 aside.
+    elsewhere = np.array([np.clip(apart[0] + at_camera[0], -_ASKEW, _ASKEW), -ahead[1]])
+    return np.asarray(camera + np.clip(beside, 0.0, 1.0) * (elsewhere - camera))
 
 
 def _frequent_gaze(take: Take, rotation: FloatArray) -> tuple[FloatArray, FloatArray]:
