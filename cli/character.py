@@ -22,7 +22,7 @@ from ..blender.heads.binding import check_object, write_marks
 from ..blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ..blender.heads.family import armature_of, character_of, family_of
 from ..blender.heads.keyed import bind_keys, driven_by_its_keys, known_set
-from ..blender.meshes import driven_by_keys, mesh_of, object_of, read_landmarks, read_vertices
+from ..blender.meshes import driven_by_keys, is_head, mesh_of, object_of, read_landmarks, read_vertices
 from ..blender.preview_scene import face_points, setup_preview
 from ..blender.rendering import render_frames
 from ..core.bake.key_sets import KeySet
@@ -58,12 +58,14 @@ _NO_MARKS: Mapping[int, Mark] = {}
 
 
 def draw_landmarks(scene: bpy.types.Scene, head: bpy.types.Object, side: int) -> NDArray[np.uint8]:
-    """Render a face from the front, with the landmarks drawn over it, as BGR (side, side, 3).
+    """Render a face from the front, with the landmarks drawn over it if it has some, as BGR (side, side, 3).
 
     A preview camera is added to the scene.
     """
     setup_preview(scene, head, (side, side))
     (picture,) = render_frames(scene, np.array([float(scene.frame_current)]), (side, side))
+    if not is_head(head):
+        return picture
     points = face_points(head)[read_landmarks(head)]
     camera = object_of(scene.camera)
     seen = [world_to_camera_view(scene, camera, Vector(point)) for point in points]
@@ -268,7 +270,7 @@ def save(bound: BoundCharacter, output: Path) -> None:
 
 
 def write_picture(bound: BoundCharacter, path: Path) -> None:
-    """Write a picture of the face with its landmarks."""
+    """Write a picture of the face with its landmarks, which one that is driven by its shape keys alone lacks."""
     scene = scene_of(bound.head)
     with showing_scene(scene):
         write_image(path, draw_landmarks(scene, bound.head, 2 * AVATAR_SIDE))

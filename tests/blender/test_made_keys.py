@@ -17,6 +17,7 @@ from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import driven_by_keys, is_head
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY, REGION_GROUPS
 from facemime.blender.rigs import read_rig
+from facemime.cli.character import draw_landmarks
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.errors import HeadError
@@ -212,6 +213,11 @@ def test_a_mesh_without_known_keys_is_not_bound_by_them():
         head.shape_key_add(name=name)
     with pytest.raises(HeadError, match="known set"):  # they move nothing
         bind_keys(head)
+
+
+def test_a_face_without_landmarks_has_a_picture_too(keyed):
+    picture = draw_landmarks(bpy.context.scene, bind_keys(keyed()["head"]), 64)
+    assert picture.shape == (64, 64, 3) and np.ptp(picture) > 0
 
 
 @pytest.mark.thorough
