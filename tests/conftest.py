@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import ctypes
 import re
 import signal
@@ -24,7 +25,16 @@ _PLACE = re.compile(r"\b(4\.2|4\.5|5\.0|5\.2|trixie|sid|windows-\w+)\b")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    parser.addoption("--share", metavar="K/N", help="run only a share of the thorough tests, the K-th of N")
+    parser.addoption(
+        "--share", type=_share, metavar="K/N", help="run only a share of the thorough tests, the K-th of N"
+    )
+
+
+def _share(text: str) -> tuple[int, int]:
+    if not re.fullmatch(r"\d+/[1-9]\d*", text):
+        raise argparse.ArgumentTypeError(f"{text} is not a share such as 3/12")
+    chosen, of = text.split("/")
+    return int(chosen), int(of)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -40,7 +50,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     """Leave out the thorough tests of other shares; tests that start the same Blender are in the same share."""
     if not (share := config.getoption("--share")):
         return
-    chosen, of = (int(number) for number in share.split("/"))
+    chosen, of = share
 
     def group(item: pytest.Item) -> tuple[str, ...]:
         return item.path.as_posix(), *_PLACE.findall(item.name.partition("[")[2])
