@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from ..core.files.capture import PICTURE_RATE, require_utf8_name
+from ..core.files.capture import PICTURE_RATE, require_file, require_utf8_name
 from ..core.files.writing import free_name, settle
 from ..core.puppet.job import PuppetJob
 from ..core.takes.file import SUFFIX, save_take
@@ -128,6 +128,8 @@ def run_puppet(job: PuppetJob) -> int:
         for path, _ in job.outputs:
             if path is not None:
                 require_utf8_name(Path(os.path.realpath(path)))
+        if not os.path.exists(job.source):  # before a character is bound
+            require_file(job.source)
         stage = headless.open_stage(job)
         if not job.tracks:
             take = load_with_warnings(job.source)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
-from ...core.bake.fit import MotionBasis, fit_basis, fit_weights, left_over, mix_errors
+from ...core.bake.fit import MotionBasis, fit_basis, fit_weights, left_over, mix_errors, mixed_motion
 from ...core.bake.own_keys import lid_factors, look_factors, reaching
 from ...core.bake.point_cache import SUFFIX
 from ...core.drive.driver import HeadMotion, drive_take
@@ -267,8 +267,7 @@ def _mapped(
     keys = keys.chosen(list(values))
     weights = np.column_stack(list(values.values()))
     if driven_by_keys(obj):
-        mixed = np.einsum("nk,kvc->nvc", weights.astype(np.float32), keys.offsets, optimize=True)
-        motion, error = replace(motion, vertices=mixed), float("nan")
+        motion, error = replace(motion, vertices=mixed_motion(keys.offsets, weights)), float("nan")
     else:
         error, _ = mix_errors(motion.vertices, keys.offsets, weights)
     return motion, _values_plan(obj, keys, weights, timing, unit, bake, error)

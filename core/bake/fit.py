@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..files.large_arrays import large_array
 from ..numeric import linalg
 from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_least_squares
@@ -259,6 +260,15 @@ def _exclude(
             weights[np.ix_(alike, np.flatnonzero(pattern))] = 0.0
 
 
+def mixed_motion(keys: FloatArray, weights: FloatArray) -> NDArray[np.float32]:
+    """Return the motion (N, V, 3) of a mix of shape keys (K, V, 3) by weights (N, K)."""
+    flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
+    motion = large_array((len(weights), *keys.shape[1:]))
+    for part in _parts(len(weights)):
+        motion[part] = multiply(weights[part], flat).reshape(motion[part].shape)
+    return motion
+
+
 def mix_errors(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tuple[float, float]:
     """Return the largest and the root mean square distance of vertices from a motion, for a mix of shape keys.
 
@@ -278,7 +288,7 @@ def left_over(motion: FloatArray, keys: FloatArray, weights: FloatArray) -> tupl
     Arrays are as for `mix_errors`.
     """
     flat = np.ascontiguousarray(keys, dtype=np.float32).reshape(len(keys), -1)
-    left, worst = np.empty(motion.shape, dtype=np.float32), 0.0
+    left, worst = large_array(motion.shape), 0.0
     for part in _parts(len(motion)):
         own = left[part]
         np.subtract(motion[part], multiply(weights[part], flat).reshape(own.shape), out=own)

@@ -14,6 +14,7 @@ from ..deform.rbf import IncrementalDeformer, RBFDeformer
 from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.rotation import euler_to_matrix, limit_rotation, limit_vector
+from ..files.large_arrays import large_array
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
@@ -184,14 +185,17 @@ class HeadDriver:
         )
 
     def motion(self, results: Sequence[TrackResult], times: FloatArray) -> HeadMotion:
-        """Compute the motion for tracking results with a face, as `frame` does one after the other, at times (N,)."""
+        """Compute the motion for tracking results with a face, as `frame` does one after the other, at times (N,).
+
+        Raises OutputError if it needs a file that is larger than the disk has room for.
+        """
         results = [self._mirrored(result) for result in results]
         shapes = np.array([result.shape for result in results])
         displacements = self.retargeter.displacements(shapes)
         actions = self._shown_actions(np.array([result.actions for result in results]), shapes)
         poses = [self._pose(result, moved) for result, moved in zip(results, displacements, strict=True)]
         rest = self.rest
-        vertices = np.empty((len(results), *rest.shape), dtype=np.float32)
+        vertices = large_array((len(results), *rest.shape))
         for row, moved, shown, pose in zip(vertices, displacements, actions, poses, strict=True):
             np.subtract(self._vertices(moved, shown, pose), rest, out=row)
         controls = {name: np.array([pose.controls[name] for pose in poses]) for name in self._controls.names}
@@ -345,7 +349,7 @@ def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
     farthest from rest.
     """
     flat = motion.vertices.reshape(len(motion.times), -1)
-    squares = np.square(flat).sum(axis=1)
+    squares = np.einsum("nv,nv->n", flat, flat)
     chosen = [int(np.argmax(squares))]
     distance = np.full(len(flat), np.inf, dtype=np.float32)
     while len(chosen) < min(count, len(flat)):
