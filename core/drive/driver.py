@@ -349,7 +349,7 @@ def select_distinct_frames(motion: HeadMotion, count: int) -> NDArray[np.intp]:
     farthest from rest.
     """
     flat = motion.vertices.reshape(len(motion.times), -1)
-    squares = np.einsum("nv,nv->n", flat, flat)
+    squares = np.array([row @ row for row in flat])
     chosen = [int(np.argmax(squares))]
     distance = np.full(len(flat), np.inf, dtype=np.float32)
     while len(chosen) < min(count, len(flat)):
