@@ -32,6 +32,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
 
     _session: TrackingSession | None = None
     _head: str = ""
+    _told = False
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for a file, unless the button provides one."""
@@ -63,6 +64,10 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             progress = _("Facemime: {done} of {total} frames tracked; Esc to stop and bake them")
             context.workspace.status_text_set(progress.format(done=done, total=total))
             redraw(context, "UI")
+            return {"PASS_THROUGH"}
+        if not self._told:  # before a window that waits for the bake
+            self._told = True
+            context.workspace.status_text_set(_("Facemime: baking {total} frames").format(total=self._tracked.done))
             return {"PASS_THROUGH"}
         return self.reporting(self.finish, context)
 
