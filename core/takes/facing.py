@@ -45,7 +45,7 @@ def usual_gaze(take: Take, rotation: FloatArray) -> FloatArray:
     beside = np.hypot(*(apart + ahead)) / _ASKEW - 1.0
     camera = np.clip(apart, -ahead - _ASKEW, -ahead + _ASKEW)
     # Of 108 people who look at the camera, the pitch is measured 5 +- 4 degrees too high, the yaw 0 +- 1.4 aside.
-    elsewhere = np.array([np.clip(apart[0] + at_camera[0], -_ASKEW, _ASKEW), -ahead[1]])
+    elsewhere = np.array([np.clip(apart[0] + at_camera[0], -_ASKEW, _ASKEW), 0.0])
     return np.asarray(camera + np.clip(beside, 0.0, 1.0) * (elsewhere - camera))
 
 

@@ -84,6 +84,11 @@ def test_who_always_looks_aside_is_shown_so_but_a_pitch_that_is_always_large_is_
     np.testing.assert_allclose(usual_gaze(rig, np.tile((-0.05, 0.6), (40, 1))), (-0.05, 0.0), atol=1e-6)
 
 
+def test_the_eyes_of_who_rests_turned_away_from_the_camera_are_straight(rig):
+    pose = np.tile([100.0, 0.1, 0.4, 0.0, 320.0, 240.0], (40, 1))
+    np.testing.assert_allclose(usual_gaze(rig, np.zeros((40, 2)), pose, 0.0), 0.0, atol=0.03)
+
+
 def test_who_looks_aside_from_a_tilted_head_does_not_roll_the_eyes_up(rig):
     pose = np.tile([100.0, -0.05, 0.79, -0.24, 320.0, 240.0], (40, 1))
     take = make_take(np.tile(performer(rig), (40, 1, 1)), gaze=np.tile((-0.03, -0.19), (40, 1)), pose=pose)
