@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Literal
@@ -118,7 +119,21 @@ def colour_node(material: bpy.types.Material) -> bpy.types.ShaderNodeTexImage | 
     return None if node is None or node.image is None else node
 
 
+def lost_images(objects: Iterable[bpy.types.Object]) -> list[str]:
+    """Return the names of files with colours of objects that cannot be read, in whose place Blender shows magenta."""
+    materials = [slot.material for obj in objects for slot in obj.material_slots if slot.material is not None]
+    images = [node.image for node in map(colour_node, materials) if node is not None and node.image is not None]
+    lost = [image for image in images if _is_lost(image)]
+    return sorted({Path(image.filepath).name or image.name for image in lost})
+
+
 def _shows_colour(node: bpy.types.ShaderNodeTexImage) -> bool:
     """Return whether a node has an image of colours rather than of normals or other data."""
     space = None if node.image is None else node.image.colorspace_settings
     return space is not None and not space.is_data
+
+
+def _is_lost(image: bpy.types.Image) -> bool:
+    if image.source != "FILE" or image.packed_file is not None or image.has_data:
+        return False
+    return not os.path.isfile(bpy.path.abspath(image.filepath, library=image.library))

@@ -47,6 +47,7 @@ from .character_files import (
     prepare_imported,
     read_from,
     set_frames,
+    tell_of_lost_images,
 )
 from .console import Progress, tell
 from .headless import AVATAR_SIDE, learn, save_blend
@@ -223,6 +224,7 @@ def bind(
         chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
         with showing_scene(scene_of(chosen)):
             head, binding = _bound(chosen, marks)
+            tell_of_lost_images(head)
             if binding is None:
                 if controls:
                     raise HeadError(

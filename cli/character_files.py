@@ -15,12 +15,13 @@ from ..blender.animation.clips import AnimationClip, clips_of, owners_of, play_s
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
 from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
-from ..blender.heads.family import family_of, heads_of, likely_character
+from ..blender.heads.family import character_of, family_of, heads_of, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import paint_skin_around_eyes
 from ..blender.meshes import can_be_driven
 from ..blender.rendering import quiet, set_rate
+from ..blender.surfaces import lost_images
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files.capture import check_readable, require_utf8_name
 from ..core.files.locks import temporary_folder
@@ -252,9 +253,11 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
         if facegen:
             paint_skin_around_eyes(head)
         tell(driven_by_its_keys(head))
+        tell_of_lost_images(head)
         return head
     head, binding = bound_character(chosen)
     prepare_imported(path, head)
+    tell_of_lost_images(head)
     if binding.doubt:
         tell(f"facemime: {binding.doubt}")
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
@@ -270,6 +273,15 @@ def bound_character(obj: bpy.types.Object) -> tuple[bpy.types.Object, Binding]:
     if note := turn_note(head, before):
         tell(f"{note}.")
     return head, binding
+
+
+def tell_of_lost_images(head: bpy.types.Object) -> None:
+    """Say which images of a character are missing."""
+    if lost := lost_images(character_of(head)):
+        tell(
+            f"Not found: {', '.join(lost)}. What these images colour is magenta. Export the character with its images "
+            "embedded, or find them in Blender with File > External Data > Find Missing Files."
+        )
 
 
 def prepare_imported(path: Path, head: bpy.types.Object) -> None:

@@ -10,8 +10,9 @@ import pytest
 from facemime.blender.animation.clips import clips_of, owners_of, play, play_single
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.heads.new_heads import add_head
+from facemime.blender.surfaces import colour_node
 from facemime.blender.timeline import rate_of
-from facemime.cli.character_files import likely_mesh, object_named, open_file
+from facemime.cli.character_files import likely_mesh, object_named, open_file, tell_of_lost_images
 from facemime.cli.options import head_file
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.face.names import COEFFICIENT_INDEX
@@ -149,6 +150,21 @@ def test_a_file_without_a_mesh_is_refused_with_what_it_has_instead(tmp_path, wri
     open_file(tmp_path / "a.blend")
     with pytest.raises(HeadError, match=reason):
         likely_mesh(tmp_path / "a.blend")
+
+
+def test_images_that_were_left_behind_are_named(tmp_path, capsys):
+    head, place = add_head(bpy.context), tmp_path / "images" / "skin.png"
+    image = bpy.data.images.new("skin", 8, 8)
+    image.filepath_raw, image.file_format = str(place), "PNG"
+    image.save()
+    node = colour_node(head.material_slots[0].material)
+    node.image = image
+    tell_of_lost_images(head)
+    assert capsys.readouterr().err == ""
+    place.unlink()
+    image.reload()
+    tell_of_lost_images(head)
+    assert "Not found: skin.png. What these images colour is magenta." in capsys.readouterr().err
 
 
 def test_a_file_of_another_kind_lists_those_that_can_be_opened(tmp_path):
