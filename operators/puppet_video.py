@@ -32,7 +32,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
 
     _session: TrackingSession | None = None
     _head: str = ""
-    _told = False
+    _announced = False
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Ask for a file, unless the button provides one."""
@@ -65,8 +65,8 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
             context.workspace.status_text_set(progress.format(done=done, total=total))
             redraw(context, "UI")
             return {"PASS_THROUGH"}
-        if not self._told:  # before a window that waits for the bake
-            self._told = True
+        if not self._announced:  # the window is drawn once more before it waits for the bake
+            self._announced = True
             context.workspace.status_text_set(_("Facemime: baking {total} frames").format(total=self._tracked.done))
             return {"PASS_THROUGH"}
         return self.reporting(self.finish, context)

@@ -30,7 +30,7 @@ _HAIR = (22, 26, 34)
 _TEETH = 12
 """Visible teeth in a row."""
 _LIT = 0.3
-"""Share of a row, from the middle, that light reaches."""
+"""Share of a row, from the middle, that light reaches. Like the next, chosen by looking at Jane's open mouth."""
 _DARK = 0.85
 """How much darker the last molar is."""
 _CAP = 0.2
