@@ -290,6 +290,21 @@ def rest_matrix(obj: bpy.types.Object) -> Matrix:
     return parent_matrix(obj) @ Matrix.LocRotScale(location, _placed_rotation(obj), placed_scale(obj))
 
 
+def box_of(obj: bpy.types.Object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the lowest and the highest corner (3,) of a box around `obj` in the world, where `rest_matrix` has it."""
+    corners = np.array([rest_matrix(obj) @ Vector(corner) for corner in obj.bound_box])
+    return corners.min(axis=0), corners.max(axis=0)
+
+
+def ancestors(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the parent of `obj`, its parent, and so on."""
+    above = []
+    while obj.parent is not None:
+        obj = obj.parent
+        above.append(obj)
+    return above
+
+
 def parent_matrix(obj: bpy.types.Object) -> Matrix:
     """Return the (4, 4) transform from the space of the parent of `obj` to the world, as `rest_matrix`."""
     if obj.parent is None:

@@ -21,7 +21,7 @@ from ..blender.frames import to_blender
 from ..blender.heads.binding import check_object, write_marks
 from ..blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ..blender.heads.family import armature_of, character_of, family_of
-from ..blender.heads.keyed import bind_keys, driven_by_its_keys, known_set
+from ..blender.heads.keyed import driven_by_its_keys, known_set
 from ..blender.meshes import driven_by_keys, is_head, mesh_of, object_of, read_landmarks, read_vertices
 from ..blender.preview_scene import face_points, setup_preview
 from ..blender.rendering import render_frames
@@ -39,6 +39,7 @@ from ..core.rigs.rig_map import RigMap
 from ..core.takes.take import Take
 from .character_files import (
     CUTS,
+    bound_by_keys,
     bound_character,
     likely_mesh,
     object_named,
@@ -255,7 +256,7 @@ def _bound(chosen: bpy.types.Object, marks: Mapping[int, Mark]) -> tuple[bpy.typ
         sets = [found for member in family_of(chosen) if (found := known_set(member)) is not None]
         if not any(found.sources >= ESSENTIAL for found in sets):
             raise
-    head = bind_keys(chosen)
+    head = bound_by_keys(chosen)
     tell(f"No face was found. {driven_by_its_keys(head)}")
     return head, None
 

@@ -9,13 +9,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import bpy
+from mathutils import Matrix
 
 from ..blender import head_properties
 from ..blender.animation.clips import AnimationClip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
 from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
-from ..blender.heads.family import character_of, family_of, heads_of, likely_character
+from ..blender.heads.family import character_of, family_of, heads_of, hide_other_levels, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import paint_skin_around_eyes
@@ -249,7 +250,7 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
     sets = [found for member in family_of(chosen) if (found := known_set(member)) is not None]
     facegen = path.suffix.lower() == TRI  # whose morphs follow a face less closely than its skin does
     if by_keys is not None and not (by_keys and facegen) and any(found.sources.issuperset(by_keys) for found in sets):
-        head = bind_keys(chosen)
+        head = bound_by_keys(chosen)
         if facegen:
             paint_skin_around_eyes(head)
         tell(driven_by_its_keys(head))
@@ -267,12 +268,26 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
 
 
 def bound_character(obj: bpy.types.Object) -> tuple[bpy.types.Object, Binding]:
-    """Bind the character of `obj`, and say if its mesh was rotated; result and errors are those of `bind_character`."""
+    """Bind the character of `obj`, and say what changed; result and errors are those of `bind_character`."""
     before = placements()
     head, binding = bind_character(obj)
-    if note := turn_note(head, before):
-        tell(f"{note}.")
+    _tell_of_changes(head, before)
     return head, binding
+
+
+def bound_by_keys(obj: bpy.types.Object) -> bpy.types.Object:
+    """Bind the character of `obj` by its keys, and say what changed; result and errors are those of `bind_keys`."""
+    before = placements()
+    head = bind_keys(obj)
+    _tell_of_changes(head, before)
+    return head
+
+
+def _tell_of_changes(head: bpy.types.Object, before: Mapping[bpy.types.Object, Matrix]) -> None:
+    """Hide other levels of detail of a new head, and say so, and if it was rotated since it was placed as `before`."""
+    for note in (turn_note(head, before), hide_other_levels(head)):
+        if note:
+            tell(f"{note}.")
 
 
 def tell_of_lost_images(head: bpy.types.Object) -> None:

@@ -20,7 +20,7 @@ from ..blender.heads.binding import (
     write_marks,
 )
 from ..blender.heads.facegen import prepare_mouth
-from ..blender.heads.family import character_of
+from ..blender.heads.family import character_of, hide_other_levels
 from ..blender.heads.keyed import bind_keys
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import has_painted_skin, replace_eyes
@@ -71,10 +71,19 @@ def _choose(context: bpy.types.Context, head: bpy.types.Object) -> None:
     select_alone(context, head)
 
 
-def _report_turn(operator: bpy.types.Operator, head: bpy.types.Object, before: dict[bpy.types.Object, Matrix]) -> None:
-    """Report if `head` was rotated since its world matrix was as in `before`."""
-    if note := turn_note(head, before):
-        report(operator, note)
+def _show_result(
+    operator: bpy.types.Operator,
+    context: bpy.types.Context,
+    head: bpy.types.Object,
+    before: dict[bpy.types.Object, Matrix],
+) -> None:
+    """Select a new head without its other levels of detail, and report if it was rotated since its world matrix was as
+    in `before`.
+    """
+    _choose(context, head)
+    for note in (turn_note(head, before), hide_other_levels(head)):
+        if note:
+            report(operator, note)
 
 
 def _turn_to_face(context: bpy.types.Context) -> bool:
@@ -130,8 +139,7 @@ class FACEMIME_OT_bind_keys(OnCharacter, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         before = placements()
         head = bind_keys(chosen_character(context))
-        _choose(context, head)
-        _report_turn(self, head, before)
+        _show_result(self, context, head, before)
         if not bpy.app.background and context.window is not None:
             _turn_to_face(context)
         report(self, "{name} is driven by its shape keys alone.", name=head.name)
@@ -151,8 +159,7 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):
         """Search for the face in a thread, and bind what was found."""
         former, before = FormerBinding(context), placements()
         head, binding = yield from in_background(search_character(chosen_character(context)))
-        _choose(context, head)
-        _report_turn(self, head, before)
+        _show_result(self, context, head, before)
         alone = self.in_window and _turn_to_face(context)
         self._report(context, binding, alone)
         if self.in_window:

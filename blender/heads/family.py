@@ -11,7 +11,6 @@ from functools import lru_cache
 
 import bpy
 import numpy as np
-from mathutils import Vector
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError
@@ -19,9 +18,10 @@ from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.key_map import KeyMap, best_preset
 from ...core.heads.part_names import find_bones, named_part, names_body, names_skin
 from ...core.numeric.arrays import FloatArray
-from ..characters import head_of, objects_of, rest_matrix
+from ..characters import ancestors, box_of, head_of, objects_of
 from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones
-from ..names import PART_PROPERTY
+from ..names import MARKS_PROPERTY, PART_PROPERTY
+from .levels import hide, level_of, one_level
 
 _LARGEST_PART = 2.0
 """Size of a loose part of a head, such as hair, relative to the largest extent of the head."""
@@ -35,10 +35,22 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the meshes of a character, with `obj` first if it is one: those of its armature, root or collection.
 
     In a collection, only meshes that are named after a part of a face or lie within the head count, as it may hold the
-    entire scene. Meshes below the same root that another armature deforms belong to another character.
+    entire scene. Meshes below the same root that another armature deforms belong to another character. Of levels
+    of detail, only that of `obj` counts, or else the finest.
     """
-    armature = armature_of(obj)
-    root = _root_of(obj)
+    return one_level(_all_levels(obj), level_of(obj))
+
+
+def hide_other_levels(head: bpy.types.Object) -> str:
+    """Hide the other levels of detail of the character of `head`, and say so; "" if it has none that are visible."""
+    levels = _all_levels(head)
+    kept = {*one_level(levels, level_of(head)), *objects_of(head)}
+    return hide(obj for obj in levels if obj not in kept)
+
+
+def _all_levels(obj: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the meshes of the character of `obj`, those of coarser levels included, `obj` first if it is one."""
+    armature, root, level = armature_of(obj), _root_of(obj), level_of(obj)
     found = []
     for other in bpy.context.scene.objects:
         if other == obj or other.type != "MESH" or not len(mesh_of(other).vertices):
@@ -48,7 +60,7 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
         theirs = armature_of(other)
         same = armature is not None and theirs == armature
         below = _root_of(other) == root and (armature is None or theirs is None)
-        if same or below or _is_beside(other, obj):
+        if same or below or _is_beside(other, obj) or (level is not None and _is_level(other, obj, level[0])):
             found.append(other)
     return [*([obj] if obj.type == "MESH" else []), *sorted(found, key=lambda other: other.name)]
 
@@ -120,7 +132,7 @@ def _heads_at(obj: bpy.types.Object, heads: Sequence[bpy.types.Object]) -> list[
         return carried
     place: bpy.types.Object | None = obj
     while place is not None:
-        below = [head for head in heads if place in _above(head)]
+        below = [head for head in heads if place in ancestors(head)]
         if below:
             return below if place == obj or len(below) == 1 else []
         place = place.parent
@@ -153,7 +165,10 @@ def likely_character(objects: Iterable[bpy.types.Object]) -> bpy.types.Object | 
 
 
 def require_character(obj: bpy.types.Object | None) -> bpy.types.Object:
-    """Return `obj`; raises HeadError if it is None or does not belong to a mesh."""
+    """Return `obj`, or a mesh of the finest level of detail if it is a copy of that one.
+
+    Raises HeadError if `obj` is None or does not belong to a mesh.
+    """
     if obj is None:
         raise HeadError("No character is selected. Select one, or add a head with Add > Mesh > Facemime Head.")
     if obj.type == "EMPTY" and obj.instance_collection is not None:
@@ -163,7 +178,11 @@ def require_character(obj: bpy.types.Object | None) -> bpy.types.Object:
         )
     if not family_of(obj):
         raise HeadError("{name} belongs to no mesh. Select a character, or add a head.", name=obj.name)
-    return obj
+    if (level := level_of(obj)) is None or obj.type != "MESH" or can_be_driven(obj) or MARKS_PROPERTY in mesh_of(obj):
+        return obj
+    meshes = one_level(_all_levels(obj))
+    same = [other for other in meshes if (theirs := level_of(other)) is not None and theirs[0] == level[0]]
+    return obj if obj in meshes else [*same, *meshes][0]
 
 
 def leads_to_face(obj: bpy.types.Object) -> bool:
@@ -203,7 +222,7 @@ def armature_of(obj: bpy.types.Object) -> bpy.types.Object | None:
         return obj
     if (armature := obj.find_armature()) is not None:
         return armature
-    return next((above for above in _above(obj) if above.type == "ARMATURE"), None)
+    return next((above for above in ancestors(obj) if above.type == "ARMATURE"), None)
 
 
 def character_of(head: bpy.types.Object) -> set[bpy.types.Object]:
@@ -235,13 +254,19 @@ def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
     if obj.type != "MESH" or other.parent is not None or not set(other.users_collection) & set(obj.users_collection):
         return False
     if named_part([other.name]) is not None:
-        return _overlap(_box(obj), _box(other))
+        return _overlap(box_of(obj), box_of(other))
     if not (_is_loose(obj) and _is_loose(other)) or len(mesh_of(other).vertices) < _FEWEST:
         return False
-    (low, high), (other_low, other_high) = _box(obj), _box(other)
+    (low, high), (other_low, other_high) = box_of(obj), box_of(other)
     middle = (other_low + other_high) / 2.0
     within = (low < middle).all() and (middle < high).all()
     return bool(within and (other_high - other_low < _LARGEST_PART * (high - low).max()).all())
+
+
+def _is_level(other: bpy.types.Object, obj: bpy.types.Object, name: str) -> bool:
+    """Return whether a mesh is another level of detail of `obj`, whose name is without its own."""
+    level = level_of(other)
+    return level is not None and level[0] == name and _overlap(box_of(obj), box_of(other))
 
 
 def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:
@@ -256,8 +281,8 @@ def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:
         if other != obj and _is_loose(other) and _may_have_face(other) and other.get(PART_PROPERTY) is None
     ]
     loose = [other for other in loose if set(other.users_collection) & set(obj.users_collection)]
-    boxes = {other: _box(other) for other in loose}
-    found, reached = list[bpy.types.Object](), [_box(obj)]
+    boxes = {other: box_of(other) for other in loose}
+    found, reached = list[bpy.types.Object](), [box_of(obj)]
     while reached:
         box = reached.pop()
         touching = [other for other in loose if other not in found and _overlap(box, boxes[other])]
@@ -279,19 +304,5 @@ def _overlap(box: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatA
     return bool((other[0] < box[1]).all() and (other[1] > box[0]).all())
 
 
-def _box(obj: bpy.types.Object) -> tuple[FloatArray, FloatArray]:
-    corners = np.array([rest_matrix(obj) @ Vector(corner) for corner in obj.bound_box])
-    return corners.min(axis=0), corners.max(axis=0)
-
-
 def _root_of(obj: bpy.types.Object) -> bpy.types.Object:
-    return (obj, *_above(obj))[-1]
-
-
-def _above(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the parent of `obj`, its parent, and so on."""
-    above = []
-    while obj.parent is not None:
-        obj = obj.parent
-        above.append(obj)
-    return above
+    return (obj, *ancestors(obj))[-1]

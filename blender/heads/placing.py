@@ -253,10 +253,12 @@ class _Bound:
     of_mesh: dict[str, Any]
     kinds: NDArray[np.int8]
     weights: NDArray[np.float32] | None
+    hidden: tuple[bool, bool]
+    """In the viewport, and in renders."""
 
 
 class FormerBinding:
-    """The landmarks, regions and parts of all meshes of a scene, and what was selected."""
+    """The landmarks, regions and parts of all meshes of a scene, and what was hidden and selected."""
 
     def __init__(self, context: bpy.types.Context) -> None:
         context.view_layer.update()
@@ -280,7 +282,8 @@ class FormerBinding:
 def _bound(obj: bpy.types.Object) -> _Bound:
     regions = all(name in obj.vertex_groups for name in REGION_GROUPS)
     weights = read_weights(obj, slice(None)) if regions else None
-    return _Bound(obj.name, obj.matrix_world.copy(), _ours(obj), _ours(mesh_of(obj)), read_kinds(mesh_of(obj)), weights)
+    kinds, hidden = read_kinds(mesh_of(obj)), (obj.hide_get(), obj.hide_render)
+    return _Bound(obj.name, obj.matrix_world.copy(), _ours(obj), _ours(mesh_of(obj)), kinds, weights, hidden)
 
 
 def _ours(owner: bpy.types.ID) -> dict[str, Any]:
@@ -299,6 +302,9 @@ def _restore(obj: bpy.types.Object, former: _Bound) -> None:
         for key, value in stored.items():
             owner[key] = value
     write_kinds(mesh_of(obj), former.kinds)
+    in_viewport, obj.hide_render = former.hidden
+    if obj.name in bpy.context.view_layer.objects:
+        obj.hide_set(in_viewport)
     turn = np.array((former.matrix.inverted_safe() @ obj.matrix_world).to_quaternion().to_matrix())
     if not np.allclose(turn, np.eye(3), atol=1e-5):
         turn_mesh(obj, turn)

@@ -106,6 +106,8 @@ _BODY = _words(
     r"(?:top|bottom)s?",
 )
 _NATIVE_BODY = re.compile(r"身体|体$|服|衣|靴|手袋|スカート|ズボン")
+_LEVEL = re.compile(r"[ _.-]?(?:(?<![A-Za-z])lod|(?<![A-Z])LOD|Lod)[ _.-]?(\d{1,2})(?!\d)")
+"""The level of detail in a name: `Head_LOD1`, `head_lod1_mesh`, `LOD 1`; Blender's copies have numbers of 3 digits."""
 _FACE = _words(r"(?:face|head)(?:_skin)?", r"顔|颜|臉|脸|頭|头")
 _SKIN = _words(r"skin")
 
@@ -160,6 +162,17 @@ def names_body(name: str) -> bool:
     """Return whether a name is that of a body or its clothes; a "mouth sock" is not."""
     text = spaced(name)
     return bool(_BODY.search(text) or _NATIVE_BODY.search(name)) and not (_FACE.search(text) or parts_in(name))
+
+
+def level_of_detail(name: str) -> tuple[str, int] | None:
+    """Return a name without its level of detail, and that level, 0 for the finest: `Head_LOD1` becomes `Head`, 1."""
+    found = _LEVEL.search(name)
+    return None if found is None else (without_number(name[: found.start()] + name[found.end() :]), int(found[1]))
+
+
+def without_number(name: str) -> str:
+    """Return a name without the number by which Blender tells copies apart: `Head.001` becomes `Head`."""
+    return re.sub(r"\.\d{3,}$", "", name)
 
 
 def spaced(name: str) -> str:

@@ -1,0 +1,103 @@
+"""Of the levels of detail of a character, the finest is driven, and copies in the same place are hidden."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import pytest
+
+from facemime.blender.heads.family import family_of, require_character
+from facemime.blender.heads.levels import level_of
+from facemime.blender.heads.placing import FormerBinding
+from facemime.blender.meshes import is_head
+from tests.blender.test_chosen_character import select
+from tests.helpers.characters import make_character
+from tests.helpers.commands import run
+
+
+def copy_of(obj: bpy.types.Object, name: str) -> bpy.types.Object:
+    copy = obj.copy()
+    copy.data = obj.data.copy()
+    copy.name = name
+    copy.animation_data_clear()  # the built-in head, of which it is made, drives what is hidden
+    bpy.context.scene.collection.objects.link(copy)
+    return copy
+
+
+@pytest.fixture
+def levels() -> dict[int, list[bpy.types.Object]]:
+    """Three levels of detail of all meshes of a rigged character, as games have them."""
+    meshes = list(make_character(rig=True).values())
+    names = [obj.name for obj in meshes]
+    found = {n: [copy_of(obj, f"{name}_LOD{n}") for obj, name in zip(meshes, names, strict=True)] for n in (1, 2)}
+    for obj, name in zip(meshes, names, strict=True):
+        obj.name = f"{name}_LOD0"
+    return {0: meshes, **found}
+
+
+def bind(*selected: bpy.types.Object, active: bpy.types.Object) -> bpy.types.Object:
+    select(*selected, active=active)
+    assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
+    return bpy.context.active_object
+
+
+@pytest.mark.parametrize("active", [0, 1, 2])
+def test_the_finest_level_is_bound_and_the_others_are_hidden(levels, active):
+    everything = [obj for group in levels.values() for obj in group]
+    head = bind(*everything, active=levels[active][0])
+    assert head in levels[0] and [obj for obj in everything if is_head(obj)] == [head]
+    for number, group in levels.items():
+        assert [obj.visible_get() for obj in group] == [number == 0] * len(group)
+        assert [obj.hide_render for obj in group] == [number > 0] * len(group)
+
+
+def test_a_level_is_bound_whose_finer_ones_are_hidden(levels):
+    for obj in levels[0]:
+        obj.hide_set(True)
+    head = bind(*levels[1], *levels[2], active=levels[2][0])
+    assert head in levels[1]
+    assert not any(obj.visible_get() for obj in levels[2])
+
+
+def test_a_level_that_is_a_head_already_stays_one(levels):
+    head = levels[1][0]
+    for obj in levels[0]:
+        obj.hide_set(True)
+    assert bind(head, active=head) == head
+    for obj in levels[0]:
+        obj.hide_set(False)
+    assert require_character(head) == head and not set(family_of(head)) & {*levels[0], *levels[2]}
+    assert bind(head, active=head) == head
+
+
+def test_parts_of_different_levels_that_are_no_copies_stay(levels):
+    for obj in [*levels[2], *levels[0][1:], levels[1][0]]:
+        bpy.data.objects.remove(obj)
+    rest = [levels[0][0], *levels[1][1:]]
+    assert set(family_of(rest[0])) == set(rest)
+
+
+def test_levels_are_told_by_the_names_of_groups(levels):
+    for number, group in levels.items():
+        parent = bpy.data.objects.new(f"LOD_{number}", None)
+        bpy.context.scene.collection.objects.link(parent)
+        for obj in group:
+            obj.name = obj.name.replace(f"_LOD{number}", "")
+            obj.parent = parent
+    assert [level_of(group[0]) for group in levels.values()] == [(level_of(levels[0][0])[0], n) for n in (0, 1, 2)]
+    assert set(family_of(levels[0][0])) == set(levels[0])
+
+
+def test_cancelling_shows_hidden_levels_again(levels):
+    former = FormerBinding(bpy.context)
+    bind(levels[0][0], active=levels[0][0])
+    former.restore(bpy.context)
+    assert all(obj.visible_get() and not obj.hide_render for group in levels.values() for obj in group)
+
+
+def test_the_command_says_which_levels_it_hides(levels, tmp_path: Path):
+    file = tmp_path / "levels.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(file))
+    done = run("bind", file, "-o", tmp_path / "bound.blend")
+    assert done.returncode == 0 and "other levels of detail in the same place: " in done.stderr
