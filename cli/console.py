@@ -6,6 +6,8 @@ import os
 import sys
 import time
 import unicodedata
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TextIO
 
 from ..core.errors import OutputError
@@ -156,6 +158,20 @@ class Progress:
             text = f"{self.title} [{'#' * filled}{'.' * (20 - filled)}] {self.done}/{self.total}"
             return f"{text}  {rate:.1f} {self._rate}  {left:.0f} s left"
         return f"{text}  {rate:.1f} {self._rate}"
+
+
+@contextmanager
+def announced(text: str) -> Iterator[None]:
+    """On a terminal, show what takes long and cannot tell how much of it is done, until it ends."""
+    if sys.stderr is None or not sys.stderr.isatty():
+        yield
+        return
+    line = printable(text)
+    write_error(line)
+    try:
+        yield
+    finally:
+        write_error("\r" + " " * len(line) + "\r")
 
 
 REMEDIES = {

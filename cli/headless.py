@@ -44,7 +44,7 @@ from ..core.rigs.rig_map import RigMap
 from ..core.takes.take import Take
 from ..core.tracking.overlay import contact_sheet, draw_face, draw_frame, draw_label
 from .character_files import open_head
-from .console import Progress, tell
+from .console import Progress, announced, tell
 from .stopping import STOPPING
 
 Image = NDArray[np.uint8]
@@ -98,7 +98,7 @@ def puppet(job: PuppetJob, stage: Stage, take: Take, video: Path | None) -> Pupp
     if not own:
         set_rate(scene, float(take.info.get("fps", 25.0)))
     STOPPING.check()
-    with showing_scene(scene):
+    with showing_scene(scene), announced(f"Baking {int(take.found.sum())} frames to {head.name} ..."):
         view = face_view(head)
         report = puppet_head(scene, head, take, stage.settings)
     STOPPING.check()

@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 
@@ -257,6 +258,26 @@ def test_a_terminal_without_escape_codes_gets_none(monkeypatch):
     assert shown.count("shown") == 3 and "\x1b" not in shown
     lines = shown.splitlines()[-1].split("\r")
     assert all(len(later) >= len(earlier) for earlier, later in pairwise(lines)), "the end of a line would remain"
+
+
+@pytest.mark.parametrize("broken", [False, True])
+def test_what_takes_long_is_announced_on_a_terminal_until_it_ends(monkeypatch, broken):
+    terminal = Terminal()
+    monkeypatch.setattr(console.sys, "stderr", terminal)
+    with suppress(ValueError), console.announced("Baking\x1b ..."):
+        shown = terminal.getvalue()
+        if broken:
+            raise ValueError
+    assert shown == "Baking\\x1b ..."
+    assert terminal.getvalue() == shown + "\r" + " " * len(shown) + "\r"
+
+
+def test_nothing_is_announced_in_a_file(monkeypatch):
+    file = io.StringIO()
+    monkeypatch.setattr(console.sys, "stderr", file)
+    with console.announced("Baking ..."):
+        pass
+    assert not file.getvalue()
 
 
 # Signals
