@@ -45,7 +45,10 @@ def hide_other_levels(head: bpy.types.Object) -> str:
     """Hide the other levels of detail of the character of `head`, and say so; "" if it has none that are visible."""
     levels = _all_levels(head)
     kept = {*one_level(levels, level_of(head)), *objects_of(head)}
-    return hide(obj for obj in levels if obj not in kept)
+    others = [obj for obj in levels if obj not in kept]
+    for obj in [obj for obj in others if _root_of(obj) != _root_of(head)]:  # each level may have its own armature
+        others += one_level(_all_levels(obj), level_of(obj))
+    return hide(dict.fromkeys(obj for obj in others if obj not in kept))
 
 
 def _all_levels(obj: bpy.types.Object) -> list[bpy.types.Object]:

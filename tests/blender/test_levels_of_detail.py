@@ -89,6 +89,20 @@ def test_levels_are_told_by_the_names_of_groups(levels):
     assert set(family_of(levels[0][0])) == set(levels[0])
 
 
+def test_levels_with_armatures_of_their_own_are_hidden_as_a_whole(levels):
+    for group in (levels[1], levels[2]):
+        armature = copy_of(levels[0][0].parent, "Armature")
+        for obj in group:
+            obj.parent = armature
+            for modifier in obj.modifiers:
+                if modifier.type == "ARMATURE":
+                    modifier.object = armature
+    head = bind(levels[0][0], active=levels[0][0])
+    assert head in levels[0]
+    for number, group in levels.items():
+        assert [obj.visible_get() for obj in group] == [number == 0] * len(group)
+
+
 def test_cancelling_shows_hidden_levels_again(levels):
     former = FormerBinding(bpy.context)
     bind(levels[0][0], active=levels[0][0])
