@@ -10,7 +10,7 @@ export PYTHONDONTWRITEBYTECODE :=
 
 VIEWER := assets/viewer/built/viewer.js
 
-.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-gaze bench-smiles bench-actions bench-learning bench-correct bench-rigs bench-batch bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
+.PHONY: setup check test test-all test-share test-windows test-core test-gui pictures stress soak demo build wheel bench bench-binding bench-heads bench-deformation bench-tracking bench-detection bench-expressions bench-strangers bench-gaze bench-smiles bench-mouths bench-actions bench-learning bench-correct bench-rigs bench-batch bench-coefficients bench-relay bench-remote paper model expressions coefficients head facegen sample try lock clean blenders windows wine programs viewer docs
 
 setup: $(STAMP)
 
@@ -174,6 +174,10 @@ bench-gaze: build/peers/.ready
 bench-smiles: setup
 	mkdir -p build/bench
 	$(BIN)/python -m lab.bench.smiles --json build/bench/smiles.json
+
+bench-mouths: setup
+	mkdir -p build/bench
+	$(BIN)/python -m lab.bench.mouths --json build/bench/mouths.json
 
 # Rendered clips of held-out people; needs ../shared/data.
 bench-actions: setup

@@ -27,7 +27,7 @@ def dress(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.
     """
     wardrobe: tuple[tuple[float, Callable[..., np.ndarray]], ...] = (
         (0.25, _lashes),
-        (0.12, _beard),
+        (0.12, beard),
         (0.18, _glasses),
     )
     for share, draw in wardrobe:
@@ -36,7 +36,7 @@ def dress(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.
     return image
 
 
-def _blend(image: np.ndarray, mask: np.ndarray, level: np.ndarray | float, strength: float) -> np.ndarray:
+def blend(image: np.ndarray, mask: np.ndarray, level: np.ndarray | float, strength: float) -> np.ndarray:
     share = mask.astype(np.float32) * (strength / 255.0)
     out: np.ndarray = np.clip(image * (1.0 - share) + level * share, 0, 255).astype(np.uint8)
     return out
@@ -69,8 +69,8 @@ def _lashes(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rando
         lid = np.vstack([curve, curve[::-1] + up * unit * rng.uniform(0.04, 0.13)])
         cv2.fillPoly(shade, [np.round(lid).astype(np.int32)], 255)
     shade = cv2.GaussianBlur(shade, (0, 0), 0.02 * unit)
-    image = _blend(image, shade, rng.uniform(0.0, 160.0), rng.uniform(0.0, 0.6))
-    return _blend(image, mask, rng.uniform(0.0, 40.0), rng.uniform(0.5, 1.0))
+    image = blend(image, shade, rng.uniform(0.0, 160.0), rng.uniform(0.0, 0.6))
+    return blend(image, mask, rng.uniform(0.0, 40.0), rng.uniform(0.5, 1.0))
 
 
 def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
@@ -102,7 +102,7 @@ def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rand
     for middle, way, end in ((middles[0], -1.0, landmarks[JAW[0]]), (middles[1], 1.0, landmarks[JAW[-1]])):
         line(rim, np.stack([middle + way * inner, end]), thick)
     if rng.random() < 0.35:
-        image = _blend(image, lens, rng.uniform(0.0, 255.0), rng.uniform(0.05, 0.45))
+        image = blend(image, lens, rng.uniform(0.0, 255.0), rng.uniform(0.05, 0.45))
     if rng.random() < 0.35:
         glare = np.zeros_like(image)
         for middle in middles:
@@ -110,11 +110,11 @@ def _glasses(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.rand
             size = (int(unit * rng.uniform(0.02, 0.12)), int(unit * rng.uniform(0.02, 0.08)))
             cv2.ellipse(glare, tuple(int(v) for v in at), size, rng.uniform(0, 180), 0, 360, 255, -1)
         soft = cv2.GaussianBlur(cv2.bitwise_and(glare, lens), (0, 0), 1.0)
-        image = _blend(image, soft, 255.0, rng.uniform(0.2, 0.8))
-    return _blend(image, rim, rng.uniform(0.0, 255.0) if rng.random() < 0.3 else rng.uniform(0.0, 60.0), 0.95)
+        image = blend(image, soft, 255.0, rng.uniform(0.2, 0.8))
+    return blend(image, rim, rng.uniform(0.0, 255.0) if rng.random() < 0.3 else rng.uniform(0.0, 60.0), 0.95)
 
 
-def _beard(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
+def beard(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random.Generator) -> np.ndarray:
     """Draw hair between nose and mouth or around the chin, over the rim of the upper lip but not inside the mouth."""
     mask = np.zeros_like(image)
     upper, lower = landmarks[UPPER_LIP], landmarks[LOWER_LIP]
@@ -140,4 +140,4 @@ def _beard(image: np.ndarray, landmarks: np.ndarray, unit: float, rng: np.random
     strands = cv2.GaussianBlur(grain, (0, 0), sigmaX=0.5, sigmaY=rng.uniform(0.8, 2.5))
     level = rng.uniform(0.0, 90.0) if rng.random() < 0.8 else rng.uniform(90.0, 220.0)
     hair = level + strands / max(float(strands.std()), 1e-6) * rng.uniform(5.0, 40.0)
-    return _blend(image, mask, hair, rng.uniform(0.3, 1.0))
+    return blend(image, mask, hair, rng.uniform(0.3, 1.0))
