@@ -50,6 +50,7 @@ from ..names import (
 from ..paint import read_paint
 from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, loose_companions, require_character
+from .levels import without_copies
 from .parts import (
     brow_mesh,
     current_skin,
@@ -104,7 +105,7 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     if known:
         return known[0], (yield from search_head(known[0]))
     failure: HeadError | None = None
-    likely = face_candidates(obj)[:_MAX_CANDIDATES]
+    likely = without_copies(face_candidates(obj))[:_MAX_CANDIDATES]
     for candidate in dict.fromkeys([*likely, *loose_companions(obj)[:_MAX_CANDIDATES]]):
         try:
             return candidate, (yield from search_head(candidate))

@@ -21,7 +21,7 @@ from ...core.numeric.arrays import FloatArray
 from ..characters import ancestors, box_of, head_of, objects_of
 from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones
 from ..names import MARKS_PROPERTY, PART_PROPERTY
-from .levels import hide, level_of, one_level
+from .levels import hide, is_copy, level_of, one_level
 
 _LARGEST_PART = 2.0
 """Size of a loose part of a head, such as hair, relative to the largest extent of the head."""
@@ -36,15 +36,26 @@ def family_of(obj: bpy.types.Object) -> list[bpy.types.Object]:
 
     In a collection, only meshes that are named after a part of a face or lie within the head count, as it may hold the
     entire scene. Meshes below the same root that another armature deforms belong to another character. Of levels
-    of detail, only that of `obj` counts, or else the finest.
+    of detail, only the finest counts, or that of `obj` if it is a head or has marks.
     """
-    return one_level(_all_levels(obj), level_of(obj))
+    return one_level(_all_levels(obj), level_of(obj) if _is_settled(obj) else None)
+
+
+def _is_settled(obj: bpy.types.Object) -> bool:
+    """Return whether a mesh is that with the face, as it is bound or has marks."""
+    return obj.type == "MESH" and (can_be_driven(obj) or MARKS_PROPERTY in mesh_of(obj))
+
+
+def copies_of(head: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the meshes of a character that are copies of `head` in the same place, and have none of its shape keys."""
+    keys = set(key_names(head))
+    return [obj for obj in family_of(head) if keys.isdisjoint(key_names(obj)) and is_copy(obj, head)]
 
 
 def hide_other_levels(head: bpy.types.Object) -> str:
     """Hide the other levels of detail of the character of `head`, and say so; "" if it has none that are visible."""
-    levels = _all_levels(head)
-    kept = {*one_level(levels, level_of(head)), *objects_of(head)}
+    levels, copies = _all_levels(head), copies_of(head)
+    kept = {*one_level(levels, level_of(head)), *objects_of(head)}.difference(copies)
     others = [obj for obj in levels if obj not in kept]
     for obj in [obj for obj in others if _root_of(obj) != _root_of(head)]:  # each level may have its own armature
         others += one_level(_all_levels(obj), level_of(obj))
@@ -181,9 +192,9 @@ def require_character(obj: bpy.types.Object | None) -> bpy.types.Object:
         )
     if not family_of(obj):
         raise HeadError("{name} belongs to no mesh. Select a character, or add a head.", name=obj.name)
-    if (level := level_of(obj)) is None or obj.type != "MESH" or can_be_driven(obj) or MARKS_PROPERTY in mesh_of(obj):
+    if (level := level_of(obj)) is None or obj.type != "MESH":
         return obj
-    meshes = one_level(_all_levels(obj))
+    meshes = family_of(obj)
     same = [other for other in meshes if (theirs := level_of(other)) is not None and theirs[0] == level[0]]
     return obj if obj in meshes else [*same, *meshes][0]
 

@@ -22,7 +22,7 @@ from ..frames import HEAD_TO_BLENDER, from_blender, to_blender
 from ..meshes import group_weights, key_names, key_points, keys_of, mesh_of, read_vertices
 from ..names import COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
-from .family import armature_of, family_of, heads_of, moved_by_key, require_character
+from .family import armature_of, copies_of, family_of, heads_of, moved_by_key, require_character
 from .parts import bones_of
 
 _OWN_WEIGHT = 0.5
@@ -60,8 +60,9 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
         turn_mesh(head, HEAD_TO_BLENDER @ face.upright @ HEAD_TO_BLENDER.T)
     mesh_of(head)[KEYS_PROPERTY] = face.landmarks.tolist()
     mesh_of(head)[COUNT_PROPERTY] = len(mesh_of(head).vertices)
+    copies = copies_of(head)
     for member in family:
-        if member != head and not names_body(member.name):
+        if member != head and not names_body(member.name) and member not in copies:
             part = Part.ON_SKIN if set(key_names(member)) & set(table.keys) else Part.ON_HEAD
             write_kinds(mesh_of(member), np.full(len(mesh_of(member).vertices), part))
             member[HEAD_PROPERTY] = head

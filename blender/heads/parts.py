@@ -41,7 +41,7 @@ from ..meshes import (
     rest_bones,
 )
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
-from .family import armature_of, family_of, material_names
+from .family import armature_of, copies_of, family_of, material_names
 
 _FACE_LANDMARKS = np.concatenate([JAW, NOSE])
 """Landmarks that lie on the skin of any face."""
@@ -111,10 +111,11 @@ def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray
     number, on_skin = _numbered(head, vertices, landmarks)
     sure = on_skin[number[skin.kept]] >= _MIN_ON_SKIN
     nearest = _SkinDistance(vertices[skin.kept[sure]], weights[:, sure], outer_eye_distance(points))
+    copies = copies_of(head)
     groups = [
         _pieces_of(obj, head, landmarks if obj == head else None, nearest)
-        for obj in family_of(head)
-        if obj == head or not names_body(obj.name)
+        for obj in dict.fromkeys([head, *family_of(head)])
+        if obj == head or not (names_body(obj.name) or obj in copies)
     ]
     everything = [piece for group in groups for piece in group.pieces]
     parts = sort_pieces(everything, points)

@@ -7,8 +7,9 @@ from pathlib import Path
 import bpy
 import pytest
 
-from facemime.blender.heads.family import family_of, require_character
-from facemime.blender.heads.levels import level_of
+from facemime.blender.characters import objects_of
+from facemime.blender.heads.family import family_of, known_keys, require_character
+from facemime.blender.heads.levels import is_copy, level_of
 from facemime.blender.heads.placing import FormerBinding
 from facemime.blender.meshes import is_head
 from tests.blender.test_chosen_character import select
@@ -40,6 +41,14 @@ def bind(*selected: bpy.types.Object, active: bpy.types.Object) -> bpy.types.Obj
     select(*selected, active=active)
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
     return bpy.context.active_object
+
+
+def test_keys_of_the_finest_level_are_known_from_each_level(levels):
+    head = levels[0][0]
+    head.shape_key_add(name="Basis")
+    for name in ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "mouthSmileLeft", "mouthSmileRight", "browInnerUp"):
+        head.shape_key_add(name=name, from_mix=False).points[0].co.z += 0.01
+    assert all(known_keys(group[1]) is not None for group in levels.values())
 
 
 @pytest.mark.parametrize("active", [0, 1, 2])
@@ -101,6 +110,53 @@ def test_levels_with_armatures_of_their_own_are_hidden_as_a_whole(levels):
     assert head in levels[0]
     for number, group in levels.items():
         assert [obj.visible_get() for obj in group] == [number == 0] * len(group)
+
+
+def coarser(obj: bpy.types.Object, ratio: float, name: str) -> bpy.types.Object:
+    """A copy with a share of the faces, as another program makes it."""
+    copy = copy_of(obj, name)
+    modifier = copy.modifiers.new("Coarser", "DECIMATE")
+    modifier.ratio = ratio
+    select(copy, active=copy)
+    copy.modifiers.move(len(copy.modifiers) - 1, 0)
+    bpy.ops.object.modifier_apply(modifier="Coarser")
+    return copy
+
+
+@pytest.mark.parametrize("by", ["face", "keys"])
+def test_coarser_copies_of_a_face_without_names_are_hidden(by):
+    meshes = make_character(rig=True)
+    head = meshes["head"]
+    head.modifiers.clear()
+    meshes["head"].modifiers.new("Armature", "ARMATURE").object = head.parent
+    copies = [coarser(head, 0.5, "Aa"), coarser(head, 0.2, "Zz")]
+    if by == "keys":
+        head.shape_key_add(name="Basis")
+        for name in ("jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "mouthSmileLeft", "mouthSmileRight", "browInnerUp"):
+            head.shape_key_add(name=name, from_mix=False).points[0].co.z += 0.01
+    assert all(is_copy(copy, head) and not is_copy(head, copy) for copy in copies)
+    everything = [*meshes.values(), *copies]
+    select(*everything, active=head.parent)
+    assert (bpy.ops.facemime.bind_landmarks if by == "face" else bpy.ops.facemime.bind_keys)() == {"FINISHED"}
+    assert bpy.context.active_object == head
+    assert all(obj.visible_get() == (obj not in copies) for obj in everything)
+    assert not set(copies) & set(objects_of(head))
+
+
+def test_an_outline_around_a_face_is_no_copy_of_it():
+    head = make_character(rig=True)["head"]
+    outline = copy_of(head, "Outline")
+    outline.data.flip_normals()
+    assert not is_copy(outline, head)
+
+
+def test_clothes_on_a_body_are_no_copy_of_it():
+    meshes = make_character(rig=True)
+    clothes = copy_of(meshes["body"], "Suit")
+    for vertex in clothes.data.vertices:
+        vertex.co *= 1.05
+    bpy.context.view_layer.update()
+    assert not is_copy(clothes, meshes["body"])
 
 
 def test_cancelling_shows_hidden_levels_again(levels):
