@@ -18,7 +18,7 @@ from ...core.numeric import linalg
 from ...core.numeric.arrays import FloatArray
 from ..characters import ancestors, box_of, rest_matrix
 from ..frames import to_blender
-from ..meshes import mesh_of, read_faces, read_vertices
+from ..meshes import key_names, mesh_of, read_faces, read_vertices
 
 _SAME = 0.1
 """Largest distance between the corners of two levels of the same meshes, relative to the size of the one that stays."""
@@ -70,8 +70,8 @@ def one_level(objects: Sequence[bpy.types.Object], wanted: tuple[str, int] | Non
 
 
 def is_copy(obj: bpy.types.Object, of: bpy.types.Object) -> bool:
-    """Return whether a mesh has no more vertices than another one, is as large, lies on it and faces the same way."""
-    if obj == of or len(mesh_of(obj).vertices) > len(mesh_of(of).vertices) or not _coincide([of], [obj], _EQUAL):
+    """Return whether a mesh is at most as fine as another one, as large, lies on it and faces the same way."""
+    if obj == of or _fineness(obj) > _fineness(of) or not _coincide([of], [obj], _EQUAL):
         return False
     low, high = box_of(of)
     (places, facing), (others, theirs) = _surface(obj), _surface(of)
@@ -81,11 +81,16 @@ def is_copy(obj: bpy.types.Object, of: bpy.types.Object) -> bool:
     return bool((near & alike).mean() > _ALIKE)
 
 
+def _fineness(obj: bpy.types.Object) -> tuple[int, int]:
+    """Shape keys and vertices of a mesh; copies usually have no keys, whatever the number of their vertices."""
+    return len(key_names(obj)), len(mesh_of(obj).vertices)
+
+
 def without_copies(objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
     """Return meshes in their order, each copy replaced by the finest mesh that it is one of."""
 
     def finest(obj: bpy.types.Object) -> bpy.types.Object:
-        return max([obj, *(of for of in objects if is_copy(obj, of))], key=lambda other: len(mesh_of(other).vertices))
+        return max([obj, *(of for of in objects if is_copy(obj, of))], key=_fineness)
 
     return list(dict.fromkeys(map(finest, objects)))
 

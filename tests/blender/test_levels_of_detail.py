@@ -9,7 +9,7 @@ import pytest
 
 from facemime.blender.characters import objects_of
 from facemime.blender.heads.family import family_of, known_keys, require_character
-from facemime.blender.heads.levels import is_copy, level_of
+from facemime.blender.heads.levels import is_copy, level_of, without_copies
 from facemime.blender.heads.placing import FormerBinding
 from facemime.blender.meshes import is_head
 from tests.blender.test_chosen_character import select
@@ -141,6 +141,16 @@ def test_coarser_copies_of_a_face_without_names_are_hidden(by):
     assert bpy.context.active_object == head
     assert all(obj.visible_get() == (obj not in copies) for obj in everything)
     assert not set(copies) & set(objects_of(head))
+
+
+def test_a_finer_copy_without_shape_keys_does_not_take_the_place_of_a_face_with_them():
+    head = make_character(rig=True)["head"]
+    coarse = coarser(head, 0.5, "Coarse")
+    assert is_copy(coarse, head)
+    coarse.shape_key_add(name="Basis")
+    coarse.shape_key_add(name="jawOpen", from_mix=False)
+    assert is_copy(head, coarse) and not is_copy(coarse, head)
+    assert without_copies([head, coarse]) == [coarse]
 
 
 def test_an_outline_around_a_face_is_no_copy_of_it():
