@@ -78,6 +78,16 @@ SETS = {
         "JawOpen EyeClosedLeft EyeClosedRight BrowInnerUpLeft MouthSmileLeft LipFunnelUpperLeft LipPuckerLowerRight "
         "CheekPuffLeft CheekPuffRight MouthRaiserUpper LipSuckLower"
     ),
+    "SRanipal": (
+        "Eye_Left_Blink Eye_Left_Wide Eye_Left_Right Eye_Left_Left Eye_Left_Up Eye_Left_Down Eye_Right_Blink "
+        "Eye_Right_Wide Eye_Right_Right Eye_Right_Left Eye_Right_Up Eye_Right_Down Eye_Frown Eye_Left_Squeeze "
+        "Eye_Right_Squeeze Jaw_Right Jaw_Left Jaw_Forward Jaw_Open Mouth_Ape_Shape Mouth_Upper_Right Mouth_Upper_Left "
+        "Mouth_Lower_Right Mouth_Lower_Left Mouth_Upper_Overturn Mouth_Lower_Overturn Mouth_Pout Mouth_Smile_Right "
+        "Mouth_Smile_Left Mouth_Sad_Right Mouth_Sad_Left Cheek_Puff_Right Cheek_Puff_Left Cheek_Suck "
+        "Mouth_Upper_UpRight Mouth_Upper_UpLeft Mouth_Lower_DownRight Mouth_Lower_DownLeft Mouth_Upper_Inside "
+        "Mouth_Lower_Inside Mouth_Lower_Overlay Tongue_LongStep1 Tongue_LongStep2 Tongue_Down Tongue_Up Tongue_Right "
+        "Tongue_Left Tongue_Roll"
+    ),
     "Rocketbox": (
         "AU_01_InnerBrowRaiser AU_02_L_OuterBrowRaiser AU_02_R_OuterBrowRaiser AU_02_OuterBrowRaiser AU_04_BrowLowerer "
         "AU_12_L_LipCornerPuller AU_12_R_LipCornerPuller AU_26_JawDrop AU_45_Blink"
@@ -106,6 +116,15 @@ def test_an_eyelid_is_closed_once_where_a_mesh_has_keys_for_each_and_for_both():
         posed = {key: of[0] for key, of in table.apply(values, dict.fromkeys([*both, *more], (0.0, 1.0))).items()}
         closed = {key for key, value in posed.items() if value}
         assert closed == {wanted, *([f"{wanted}右"] if more else [])} and all(posed[key] == 1.0 for key in closed)
+
+
+def test_a_jaw_that_drops_behind_closed_lips_is_one_key_of_sranipal():
+    keys = SETS["SRanipal"].split()
+    values = np.zeros((1, len(COEFFICIENTS)))
+    values[0, [COEFFICIENTS.index(name) for name in ("jawOpen", "mouthClose", "eyeLookInLeft")]] = 0.6, 0.4, 1.0
+    posed = best_preset(keys).apply(values, dict.fromkeys(keys, (0.0, 1.0)))
+    shown = {key: round(float(of[0]), 6) for key, of in posed.items() if of[0]}
+    assert shown == {"Jaw_Open": 0.2, "Mouth_Ape_Shape": 0.4, "Eye_Left_Right": 1.0}
 
 
 def test_a_name_with_a_suffix_is_not_taken_for_one_that_is_there():
