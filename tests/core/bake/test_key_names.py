@@ -88,6 +88,25 @@ SETS = {
         "Mouth_Lower_Inside Mouth_Lower_Overlay Tongue_LongStep1 Tongue_LongStep2 Tongue_Down Tongue_Up Tongue_Right "
         "Tongue_Left Tongue_Roll"
     ),
+    "Mixamo Fuse": (
+        "Blink_Left Blink_Right BrowsDown_Left BrowsDown_Right BrowsIn_Left BrowsIn_Right BrowsOuterLower_Left "
+        "BrowsOuterLower_Right BrowsUp_Left BrowsUp_Right CheekPuff_Left CheekPuff_Right EyesWide_Left EyesWide_Right "
+        "Frown_Left Frown_Right JawBackward JawForeward JawRotateY_Left JawRotateY_Right JawRotateZ_Left "
+        "JawRotateZ_Right Jaw_Down Jaw_Left Jaw_Right Jaw_Up LowerLipDown_Left LowerLipDown_Right LowerLipIn "
+        "LowerLipOut Midmouth_Left Midmouth_Right MouthDown MouthNarrow_Left MouthNarrow_Right MouthOpen MouthUp "
+        "MouthWhistle_NarrowAdjust_Left MouthWhistle_NarrowAdjust_Right NoseScrunch_Left NoseScrunch_Right Smile_Left "
+        "Smile_Right Squint_Left Squint_Right TongueUp UpperLipIn UpperLipOut UpperLipUp_Left UpperLipUp_Right"
+    ),
+    "MB-Lab": (
+        "Expressions_browOutVertL_max Expressions_browOutVertL_min Expressions_browSqueezeL_max "
+        "Expressions_browSqueezeR_max Expressions_browsMidVert_max Expressions_cheekSneerL_max "
+        "Expressions_chestExpansion_max Expressions_eyeClosedL_max Expressions_eyeClosedL_min "
+        "Expressions_eyeClosedPressureL_max Expressions_eyeClosedR_max Expressions_eyeSquintL_max "
+        "Expressions_eyesHoriz_max Expressions_eyesVert_min Expressions_jawHoriz_max Expressions_jawOut_max "
+        "Expressions_mouthClosed_max Expressions_mouthHoriz_max Expressions_mouthInflated_max "
+        "Expressions_mouthOpenHalf_max Expressions_mouthOpenO_max Expressions_mouthOpen_max "
+        "Expressions_mouthSmileL_max Expressions_mouthSmileR_max Expressions_mouthSmile_max Expressions_tongueOut_max"
+    ),
     "Rocketbox": (
         "AU_01_InnerBrowRaiser AU_02_L_OuterBrowRaiser AU_02_R_OuterBrowRaiser AU_02_OuterBrowRaiser AU_04_BrowLowerer "
         "AU_12_L_LipCornerPuller AU_12_R_LipCornerPuller AU_26_JawDrop AU_45_Blink"
