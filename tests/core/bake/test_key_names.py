@@ -70,6 +70,21 @@ SETS = {
         "facs_bs_MouthPurseUpperLeft_div2 facs_bs_MouthPurseLowerLeft_div2 facs_bs_BrowInnerUpLeft_div2 "
         "facs_bs_MouthCloseUpperLeft_div2 facs_bs_MouthRollLowerRight_div2"
     ),
+    "Daz Genesis 3 and 8": (
+        "Genesis8Female__eCTRLSurprised Genesis8Female__eCTRLvAA Genesis8Female__eCTRLvOW "
+        "Genesis8Female__eCTRLTongueIn-Out Genesis8Female__eCTRLNoseWrinkle Genesis8Female__eCTRLMouthSmileSimpleR "
+        "Genesis8Female__eCTRLMouthSmileSimpleL Genesis8Female__eCTRLMouthSmile Genesis8Female__eCTRLMouthOpen "
+        "Genesis8Female__eCTRLMouthFrown Genesis8Female__eCTRLMouthCornerBackR "
+        "Genesis8Female__eCTRLMouthCornerBackL Genesis8Female__eCTRLLipTopUp-DownR "
+        "Genesis8Female__eCTRLLipTopUp-DownL Genesis8Female__eCTRLLipsPucker Genesis8Female__eCTRLLipsPart "
+        "Genesis8Female__eCTRLLipBottomUp-DownR Genesis8Female__eCTRLLipBottomUp-DownL "
+        "Genesis8Female__eCTRLJawOut-In Genesis8Female__eCTRLEyesSquintR Genesis8Female__eCTRLEyesSquintL "
+        "Genesis8Female__eCTRLEyesClosedR Genesis8Female__eCTRLEyesClosedL Genesis8Female__eCTRLEyesClosed "
+        "Genesis8Female__eCTRLEyelidsUpperUp-DownL Genesis8Female__eCTRLCheeksBalloon "
+        "Genesis8Female__eCTRLCheekEyeFlexR Genesis8Female__eCTRLCheekEyeFlexL Genesis8Female__eCTRLBrowSqueeze "
+        "Genesis8Female__eCTRLBrowOuterUp-DownR Genesis8Female__eCTRLBrowOuterUp-DownL "
+        "Genesis8Female__eCTRLBrowInnerUp-DownR Genesis8Female__eCTRLBrowInnerUp-DownL"
+    ),
     "MikuMikuDance": (
         "あ い う え お まばたき 笑い ウィンク ウィンク右 ウィンク２ ｳｨﾝｸ２右 びっくり 怒り 困る 上 下 にやり 口角上げ"
     ),
