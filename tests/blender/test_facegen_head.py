@@ -196,6 +196,7 @@ def test_paint_around_the_eyes_of_a_head_becomes_skin_and_its_file_stays_as_it_i
     assert (tmp_path / "Head.png").read_bytes() == before and image_of(head).packed_file is not None
 
 
+@pytest.mark.thorough
 def test_the_wall_of_her_mouth_stays_within_her_face_in_all_keys_that_are_made():
     head = add_facegen(bpy.context)
     make_expression_keys(head)

@@ -44,7 +44,7 @@ def both_by_one(rig, share: float) -> dict[str, np.ndarray]:
     return {"Blink": sum(blinks(rig, share).values())}
 
 
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=4)
 @given(share=st.floats(0.75, 0.95), table=st.sampled_from([TABLE, BOTH]))
 def test_keys_that_stop_short_are_taken_further_until_the_eyes_are_shut(rig, share, table):
     keys = blinks(rig, share) if table is TABLE else both_by_one(rig, share)
