@@ -37,11 +37,11 @@ _LISTED = 3
 
 def level_of(obj: bpy.types.Object) -> tuple[str, int] | None:
     """Return the name of a mesh without its level of detail, and the level; None if neither its name nor that of an
-    object above it has one.
+    object above it or of a collection has one.
     """
     if (own := level_of_detail(obj.name)) is not None:
         return own
-    above = (level_of_detail(other.name) for other in ancestors(obj))
+    above = (level_of_detail(other.name) for other in (*ancestors(obj), *obj.users_collection))
     return next(((without_number(obj.name), level[1]) for level in above if level is not None), None)
 
 

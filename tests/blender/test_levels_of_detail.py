@@ -87,13 +87,19 @@ def test_parts_of_different_levels_that_are_no_copies_stay(levels):
     assert set(family_of(rest[0])) == set(rest)
 
 
-def test_levels_are_told_by_the_names_of_groups(levels):
+@pytest.mark.parametrize("by", ["parent", "collection"])
+def test_levels_are_told_by_the_names_of_groups(levels, by):
     for number, group in levels.items():
-        parent = bpy.data.objects.new(f"LOD_{number}", None)
-        bpy.context.scene.collection.objects.link(parent)
+        parent = bpy.data.objects.new(f"LOD_{number}" if by == "parent" else "Game", None)
+        place = bpy.data.collections.new(f"LOD_{number}" if by == "collection" else "Game")
+        bpy.context.scene.collection.children.link(place)
+        place.objects.link(parent)
         for obj in group:
             obj.name = obj.name.replace(f"_LOD{number}", "")
-            obj.parent = parent
+            obj.users_collection[0].objects.unlink(obj)
+            place.objects.link(obj)
+            if by == "parent":
+                obj.parent = parent
     assert [level_of(group[0]) for group in levels.values()] == [(level_of(levels[0][0])[0], n) for n in (0, 1, 2)]
     assert set(family_of(levels[0][0])) == set(levels[0])
 
