@@ -41,6 +41,7 @@ from .character_files import (
     CUTS,
     bound_by_keys,
     bound_character,
+    choose_level,
     likely_mesh,
     object_named,
     open_file,
@@ -224,6 +225,8 @@ def bind(
         open_file(character.path)
         chosen = object_named(character.path, character.name) if character.name else likely_mesh(character.path)
         with showing_scene(scene_of(chosen)):
+            if character.name:
+                choose_level(chosen)
             head, binding = _bound(chosen, marks)
             tell_of_lost_images(head)
             if binding is None:

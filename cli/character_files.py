@@ -119,6 +119,12 @@ def object_named(path: Path, name: str) -> bpy.types.Object:
     return found
 
 
+def choose_level(named: bpy.types.Object) -> None:
+    """Hide the other levels of detail of a mesh that the user named, so that it is bound though others are finer."""
+    if named.type == "MESH" and (note := hide_other_levels(named)):
+        tell(f"{note}.")
+
+
 def open_file(path: Path) -> None:
     """Open a .blend file, or import a file of another program into an empty one.
 
@@ -241,6 +247,8 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
         named = object_named(path, name) if name else None
         chosen = bound[0] if named is None and bound else named or likely_mesh(path)
         with showing_scene(scene_of(chosen)):
+            if named is not None:
+                choose_level(named)
             chosen = next(iter(heads_of([chosen])), chosen)
             return chosen if chosen in bound else _newly_bound(path, chosen, by_keys)
 

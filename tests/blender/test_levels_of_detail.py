@@ -188,3 +188,6 @@ def test_the_command_says_which_levels_it_hides(levels, tmp_path: Path):
     bpy.ops.wm.save_as_mainfile(filepath=str(file))
     done = run("bind", file, "-o", tmp_path / "bound.blend")
     assert done.returncode == 0 and "other levels of detail in the same place: " in done.stderr
+    assert f"head: {levels[0][0].name}," in done.stdout
+    done = run("bind", f"{file}:{levels[1][0].name}", "-o", tmp_path / "bound.blend")
+    assert done.returncode == 0 and f"head: {levels[1][0].name}," in done.stdout, "the user named it"
