@@ -74,7 +74,7 @@ def _all_levels(obj: bpy.types.Object) -> list[bpy.types.Object]:
         theirs = armature_of(other)
         same = armature is not None and theirs == armature
         below = _root_of(other) == root and (armature is None or theirs is None)
-        if same or below or _is_beside(other, obj) or (level is not None and _is_level(other, obj, level[0])):
+        if same or below or _is_beside(other, obj) or (level is not None and _is_level(other, obj, level)):
             found.append(other)
     return [*([obj] if obj.type == "MESH" else []), *sorted(found, key=lambda other: other.name)]
 
@@ -277,10 +277,11 @@ def _is_beside(other: bpy.types.Object, obj: bpy.types.Object) -> bool:
     return bool(within and (other_high - other_low < _LARGEST_PART * (high - low).max()).all())
 
 
-def _is_level(other: bpy.types.Object, obj: bpy.types.Object, name: str) -> bool:
-    """Return whether a mesh is another level of detail of `obj`, whose name is without its own."""
-    level = level_of(other)
-    return level is not None and level[0] == name and _overlap(box_of(obj), box_of(other))
+def _is_level(other: bpy.types.Object, obj: bpy.types.Object, level: tuple[str, int]) -> bool:
+    """Return whether a mesh is another level of detail of `obj`, whose name without its level, and level, are given."""
+    theirs = level_of(other)
+    named = theirs is not None and theirs[0] == level[0] and theirs[1] != level[1]
+    return named and _overlap(box_of(obj), box_of(other))
 
 
 def loose_companions(obj: bpy.types.Object) -> list[bpy.types.Object]:

@@ -118,6 +118,16 @@ def test_levels_with_armatures_of_their_own_are_hidden_as_a_whole(levels):
         assert [obj.visible_get() for obj in group] == [number == 0] * len(group)
 
 
+def test_another_character_in_the_same_place_with_the_same_names_is_no_level():
+    ours, others = make_character(rig=True), make_character(rig=True)
+    for objects, end in ((ours, ""), (others, ".001")):
+        for key in ("head", "body"):
+            objects[key].name = f"{key}_LOD0{end}"
+    assert not set(family_of(ours["head"])) & set(others.values())
+    head = bind(ours["head"], active=ours["head"])
+    assert head == ours["head"] and all(obj.visible_get() for obj in others.values())
+
+
 def coarser(obj: bpy.types.Object, ratio: float, name: str) -> bpy.types.Object:
     """A copy with a share of the faces, as another program makes it."""
     copy = copy_of(obj, name)
