@@ -24,7 +24,7 @@ from ...core.bake.whole_frames import in_between
 from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError, OutputError
 from ...core.files.writing import replacing
-from ..characters import Member, objects_of
+from ..characters import Member, ancestors, objects_of
 from ..frames import to_blender
 from ..heads.binding import CACHES
 from ..heads.family import armature_of, family_of
@@ -180,10 +180,7 @@ def _character(head: bpy.types.Object) -> Iterator[bpy.types.Object]:
         yield armature
     for obj in (*family_of(head), *objects_of(head)):
         yield from (obj, *(child for child in obj.children_recursive if child.type == "MESH"))
-        carrier = obj.parent
-        while carrier is not None:
-            yield carrier
-            carrier = carrier.parent
+        yield from ancestors(obj)
 
 
 def _is_complete(path: Path) -> bool:

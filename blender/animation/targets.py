@@ -23,6 +23,7 @@ from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
 from ..characters import (
+    ancestors,
     objects_of,
     own_rotation,
     parent_matrix,
@@ -360,13 +361,5 @@ def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarg
     if target.obj != head:
         return [target]
     objects = set(objects_of(head))
-    loose = [obj for obj in objects_of(head) if not objects.union({head}).intersection(_ancestors(obj))]
+    loose = [obj for obj in objects_of(head) if not objects.union({head}).intersection(ancestors(obj))]
     return [target, *(PoseTarget(obj, head=head, pivot=target.pivot or (0.0, 0.0, 0.0)) for obj in loose)]
-
-
-def _ancestors(obj: bpy.types.Object) -> list[bpy.types.Object]:
-    found = []
-    while obj.parent is not None:
-        obj = obj.parent
-        found.append(obj)
-    return found

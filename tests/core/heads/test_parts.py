@@ -15,7 +15,7 @@ from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, 
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
-from facemime.core.heads.part_names import FaceBones, find_bones, level_of_detail, named_part, names_body, names_skin
+from facemime.core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_skin
 from facemime.core.heads.rig import FaceParts, HeadRig, Part, built_in_head, skin_of
 from facemime.core.heads.sorting import Piece, lower_row, sort_pieces
 from facemime.core.mesh.surface import border_twins, islands
@@ -145,25 +145,6 @@ def test_layers_that_touch_inside_a_mesh_are_not_joined():
 )
 def test_parts_are_recognised_by_name(name, part):
     assert named_part([name]) == part
-
-
-@pytest.mark.parametrize(
-    ("name", "level"),
-    [
-        ("Head_LOD0", ("Head", 0)),
-        ("head_lod3_mesh", ("head_mesh", 3)),
-        ("SK_Mannequin_LOD 1", ("SK_Mannequin", 1)),
-        ("BodyLod2", ("Body", 2)),
-        ("LOD_1", ("", 1)),
-        ("Hair.LOD1.002", ("Hair", 1)),
-        ("Melod1", None),
-        ("LOD.001", None),
-        ("Head", None),
-        ("EXPLOD1", None),
-    ],
-)
-def test_levels_of_detail_are_told_by_name(name, level):
-    assert level_of_detail(name) == level
 
 
 def test_the_most_telling_name_decides():
