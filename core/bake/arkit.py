@@ -62,8 +62,8 @@ class Observer:
         return self._retargeter.displacements(result.shape)
 
     def driven(self, result: TrackResult) -> FloatArray:
-        """Return those of the driven head without those of the whole head, (198,), in outer-eye distances."""
-        return multiply((self._avatar.displacements(result.shape) / self._unit).ravel(), self._own)
+        """Return those of the driven head, (198,), in outer-eye distances."""
+        return np.asarray((self._avatar.displacements(result.shape) / self._unit).ravel())
 
     def face(self, result: TrackResult) -> FloatArray:
         """Return the observation of a frame, (213,).

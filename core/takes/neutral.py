@@ -52,6 +52,9 @@ _FROWNS_FROM = 0.85
 sees two to four times as much of a frown as below, on both halves of the strangers' clips; up to it, hardly any."""
 _FROWNS_FULLY = 0.95
 """Activation from which the face certainly frowns."""
+_MOST_AT_REST = np.array([0.35 if name.startswith("noseSneer") else 1.0 for name in ACTIONS])
+"""Largest activations that may be the person's own face. Of a wrinkled nose, all of 108 portraits at rest have less,
+and nine of ten of older people with shut lips, whose folds look like it."""
 _MAX_VALUES = {"shape": 100.0, "gaze": 10.0, "open_mouth": 100.0, "vergence": 10.0, "actions": 100.0}
 """Largest stored values: of the shape and the mouth in outer-eye distances, of the gaze and vergence in radians."""
 _MAX_VALUE = 1e7
@@ -317,7 +320,8 @@ def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray
     rested = np.sort(frames[share >= 0.5 * share.max()])
     neutral = _neutral(take, shape, rested, facing(take))
     removed = float((share @ strong).max())
-    return replace(neutral, actions=own * neutral.actions, removed=removed, asked=False)
+    actions = np.minimum(own * neutral.actions, _MOST_AT_REST)
+    return replace(neutral, actions=actions, removed=removed, asked=False)
 
 
 def _neutral(take: Take, shape: FloatArray, rested: IntArray, rotation: FloatArray) -> Neutral:

@@ -11,7 +11,6 @@ from facemime.core.bake.likeness import _LOWER, _UPPER, alike
 from facemime.core.face.landmarks import LOWER_LIDS, N_LANDMARKS, UPPER_LIDS, outer_eye_distance
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, COEFFICIENTS, EXCLUSIVE
 from facemime.core.heads.built_in import landmarks_at_rest, load_head
-from facemime.core.takes.face_space import without_similarity
 
 FITTED_BY_LOOKS = np.array([name.startswith((*_UPPER, *_LOWER)) for name in COEFFICIENTS])
 
@@ -19,10 +18,9 @@ FITTED_BY_LOOKS = np.array([name.startswith((*_UPPER, *_LOWER)) for name in COEF
 @pytest.fixture(scope="module")
 def units() -> np.ndarray:
     """Motions of the built-in head's landmarks at 1, (52, 198), in outer-eye distances."""
-    head, rest = load_head(), landmarks_at_rest()
-    unit = outer_eye_distance(rest)
-    every = head.units[:, head.landmarks].astype(np.float64) / unit
-    return without_similarity(every, rest / unit).reshape(len(every), -1)
+    head = load_head()
+    every = head.units[:, head.landmarks].astype(np.float64) / outer_eye_distance(landmarks_at_rest())
+    return every.reshape(len(every), -1)
 
 
 def acted(**amounts: float) -> np.ndarray:
@@ -96,6 +94,17 @@ def test_a_smile_that_is_seen_to_be_a_frown_becomes_one(units):
     looked = alike(acted(mouthSmileLeft=0.15), acted(mouthFrownLeft=0.8) @ units)
     smile, frown = (looked[0, COEFFICIENT_INDEX[name]] for name in ("mouthSmileLeft", "mouthFrownLeft"))
     assert smile == 0.0 < frown
+
+
+@pytest.mark.parametrize("amount", [0.6, 1.5])
+def test_lips_that_part_before_shut_teeth_hardly_open_the_jaw(units, amount):
+    lips = {f"mouth{lip}{side}": 1.0 for lip in ("UpperUp", "LowerDown") for side in ("Left", "Right")}
+    parted = alike(acted(), amount * acted(**lips) @ units)
+    # A jaw that parts the lips as far takes the chin along.
+    opened = alike(acted(), acted(jawOpen=0.25 * amount) @ units)
+    jaw = COEFFICIENT_INDEX["jawOpen"]
+    assert parted[0, jaw] < 0.8 * opened[0, jaw]
+    assert parted[0, COEFFICIENT_INDEX["mouthUpperUpLeft"]] > 3.0 * opened[0, COEFFICIENT_INDEX["mouthUpperUpLeft"]]
 
 
 def test_a_flipped_face_has_the_coefficients_of_the_other_side(units):

@@ -209,6 +209,17 @@ def test_brows_that_are_certainly_knitted_throughout_are_shown_as_a_frown(space:
     assert other.actions[ACTIONS.index("browDownRight")] == pytest.approx(0.97)
 
 
+@pytest.mark.parametrize(("seen", "own"), [(0.2, 0.2), (0.8, 0.35)])
+def test_a_nose_that_stays_wrinkled_is_no_ones_own(space: FaceSpace, seen, own) -> None:
+    sneers = [ACTIONS.index("noseSneerRight"), ACTIONS.index("noseSneerLeft")]
+    take = make_take(np.tile(somebody(space, 3), (60, 1, 1)))
+    take.actions[:] = 0.0
+    take.actions[:, sneers] = seen
+    np.testing.assert_allclose(calibrate(take).actions[sneers], own, atol=1e-6)
+    # Somebody who was asked to rest does.
+    np.testing.assert_allclose(calibrate(take, start=0.0).actions[sneers], seen, atol=1e-6)
+
+
 @given(st.floats(0.0, 1.0), st.floats(0.0, 0.1))
 def test_the_frown_that_is_shown_grows_with_the_certainty_and_never_jumps(space: FaceSpace, one, more) -> None:
     face = somebody(space, 9)
