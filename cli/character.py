@@ -30,7 +30,7 @@ from ..core.errors import HeadError
 from ..core.face.landmarks import EDGES, from_ibug
 from ..core.files.capture import write_image
 from ..core.heads.bind import Binding
-from ..core.heads.key_map import ESSENTIAL
+from ..core.heads.key_presets import ESSENTIAL
 from ..core.heads.rig import PART_NAMES
 from ..core.numeric.arrays import FloatArray
 from ..core.puppet.job import HeadFile

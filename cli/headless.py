@@ -36,7 +36,8 @@ from ..core.drive.driver import select_distinct_frames
 from ..core.errors import OutputError, SourceError
 from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
 from ..core.files.reading import read_text
-from ..core.heads.key_map import ESSENTIAL, load_map
+from ..core.heads.key_map import load_map
+from ..core.heads.key_presets import ESSENTIAL
 from ..core.heads.style import Style, load_style
 from ..core.puppet.job import PuppetJob
 from ..core.puppet.puppet_settings import PuppetSettings

@@ -10,7 +10,7 @@ from pathlib import Path
 from time import monotonic
 
 from ..core.heads.appearance import Appearance, built_in_appearance
-from ..core.heads.key_map import ESSENTIAL
+from ..core.heads.key_presets import ESSENTIAL
 from ..core.heads.rig import built_in_head
 from ..core.puppet.camera import Camera, CameraSettings
 from ..core.puppet.job import HeadFile

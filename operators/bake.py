@@ -8,7 +8,7 @@ from bpy.props import StringProperty
 
 from ..blender.animation.conflicts import mute_under, playing_under
 from ..blender.animation.corrections import add_layer, remove_layer
-from ..blender.animation.puppet import puppet_heads
+from ..blender.animation.puppet import preset_for, puppet_heads
 from ..blender.meshes import can_be_driven, key_names, keys_of
 from ..blender.reference import add_reference, add_sound
 from ..blender.stubs import OperatorResult
@@ -17,7 +17,8 @@ from ..core.bake.arkit import arkit_coefficients
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files.media_headers import sound_lead
 from ..core.files.writing import replacing
-from ..core.heads.key_map import KeyMap, KeyPose, best_preset, learn_map, load_map, presets
+from ..core.heads.key_map import KeyMap, KeyPose, learn_map, load_map
+from ..core.heads.key_presets import presets
 from ..core.takes.neutral import calibrate
 from ..sessions.session import Session
 from ..settings import takes_store
@@ -114,7 +115,7 @@ class FACEMIME_OT_detect_key_map(OnHead, bpy.types.Operator):
     needs_landmarks = False
 
     def work(self, context: bpy.types.Context) -> None:
-        table = best_preset(key_names(required_subject(context)))
+        table = preset_for(required_subject(context))
         if table is None:
             names = ", ".join(preset.name for preset in presets())
             raise HeadError(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from ...core.bake.bezier import BezierCurve
 from ...core.bake.curves import fit_key_curves
 from ...core.errors import HeadError
-from ...core.heads.key_map import ESSENTIAL, best_preset, curve_groups, known_expressions
+from ...core.heads.key_presets import ESSENTIAL, best_preset, curve_groups, known_expressions
 from ..actions import Curve, remove_bake, remove_curves, write_curves
 from ..characters import Member, head_of, members_of
 from ..fcurves import CharacterAction, curves_in, drivers_of, is_layer

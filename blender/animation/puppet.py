@@ -17,13 +17,14 @@ from ...core.bake.point_cache import SUFFIX
 from ...core.drive.driver import HeadMotion, drive_take
 from ...core.drive.teaching import TaughtKeys
 from ...core.errors import HeadError, Message, OutputError
-from ...core.heads.key_map import KeyMap, best_preset, exclusive_keys, expression_keys, presets
+from ...core.heads.key_map import KeyMap, exclusive_keys
+from ...core.heads.key_presets import best_preset, expression_keys, with_others
 from ...core.heads.rig import HeadRig
 from ...core.numeric.arrays import FloatArray
 from ...core.puppet.performer import Performance
 from ...core.puppet.puppet_settings import PuppetSettings
 from ...core.takes.take import Take
-from ..characters import members_of, objects_of, whole_face
+from ..characters import Member, members_of, objects_of, whole_face
 from ..controls.checks import loose_parts
 from ..fcurves import CharacterAction
 from ..heads.new_heads import add_missing_units, built_in_head_of
@@ -273,23 +274,30 @@ def _mapped(
     return motion, _values_plan(obj, keys, weights, timing, unit, bake, error)
 
 
+def preset_for(obj: bpy.types.Object) -> KeyMap | None:
+    """Return the preset that fits the shape keys of a head best, if any, with the names of its keys.
+
+    Other programs look for all keys of a set, so those that move nothing here are set as well.
+    """
+    members = members_of(obj)
+    moving = moving_key_names(members)
+    return None if (preset := best_preset(moving)) is None else with_others(preset, moving, _key_names(members))
+
+
 def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
     """Match a key mapping, by default the preset that fits best, with the names of the keys as a head has them.
 
     Raises HeadError if it matches none of them.
     """
-    members = members_of(obj)
-    names = list(dict.fromkeys(name for member in members for name in key_names(member.obj)))
-    if table is None and (preset := best_preset(moving_key_names(members))) is not None:
-        # Other programs look for all keys of a set, even those that move nothing here.
-        return next(known for known in presets() if known.name == preset.name).matched(names)
+    if table is None and (preset := preset_for(obj)) is not None:
+        return preset
     if table is None:
         raise HeadError(
             "No key mapping preset matches the shape keys of {name}. "
             "Use your own mapping, or bake to new or existing shape keys without a mapping.",
             name=obj.name,
         )
-    if not (matched := table.matched(names)).rows:
+    if not (matched := table.matched(_key_names(members_of(obj)))).rows:
         raise HeadError(
             "The key mapping {mapping} matches none of the shape keys of {name}. "
             "Use another mapping, or bake to new or existing shape keys without a mapping.",
@@ -297,6 +305,11 @@ def table_for(obj: bpy.types.Object, table: KeyMap | None = None) -> KeyMap:
             name=obj.name,
         )
     return matched
+
+
+def _key_names(members: Sequence[Member]) -> list[str]:
+    """Names of the shape keys of a head, each once."""
+    return list(dict.fromkeys(name for member in members for name in key_names(member.obj)))
 
 
 def _values_plan(

@@ -17,7 +17,8 @@ from ...core.errors import HeadError, Message
 from ...core.face.landmarks import EYE_CORNERS, N_LANDMARKS
 from ...core.face.names import COEFFICIENTS
 from ...core.heads.built_in import LOOKS
-from ...core.heads.key_map import KeyMap, best_preset, known_expressions, presets
+from ...core.heads.key_map import KeyMap
+from ...core.heads.key_presets import best_preset, known_expressions, with_others
 from ...core.heads.regions import LOWER
 from ...core.heads.rig import Part, neck_of
 from ...core.numeric.arrays import FloatArray
@@ -93,9 +94,10 @@ class _AnimatedKeys:
 
 def _table(names: list[list[str]]) -> KeyMap | None:
     """Mapping of the known set of the first mesh that has one, for the keys of all meshes."""
-    preset = next(filter(None, map(best_preset, names)), None)
-    every = dict.fromkeys(name for of in names for name in of)
-    return None if preset is None else next(known for known in presets() if known.name == preset.name).matched(every)
+    for own in names:
+        if (preset := best_preset(own)) is not None:
+            return with_others(preset, own, dict.fromkeys(name for of in names for name in of))
+    return None
 
 
 def _values(final: bpy.types.Object) -> dict[str, float]:

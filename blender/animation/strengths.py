@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ...core.drive.driver import HeadMotion
 from ...core.face.rotation import limit_rotation
-from ...core.heads.key_map import curve_groups, gaze_keys
+from ...core.heads.key_presets import curve_groups, gaze_keys
 from ...core.numeric.arrays import FloatArray
 from ..fcurves import curves_in
 from .bake_keys import RESIDUAL, MeshKeys

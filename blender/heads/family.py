@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.face.landmarks import N_LANDMARKS
-from ...core.heads.key_map import KeyMap, best_preset
+from ...core.heads.key_map import KeyMap
+from ...core.heads.key_presets import best_preset
 from ...core.heads.part_names import find_bones, named_part, names_body, names_skin
 from ...core.numeric.arrays import FloatArray
 from ..characters import ancestors, box_of, head_of, objects_of

@@ -14,7 +14,8 @@ from ...core.bake.key_quality import face_from_keys
 from ...core.errors import HeadError
 from ...core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, normalised
 from ...core.heads.character_files import MorphBind, expressions_of
-from ...core.heads.key_map import ESSENTIAL, KeyMap, best_preset
+from ...core.heads.key_map import KeyMap
+from ...core.heads.key_presets import ESSENTIAL, best_preset
 from ...core.heads.part_names import FaceBones, names_body
 from ...core.heads.rig import Part, neck_of
 from ..characters import write_bones, write_kinds

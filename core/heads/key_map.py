@@ -17,22 +17,16 @@ from typing import Any
 import numpy as np
 
 from ..errors import DataError, Message, SourceError
-from ..face.names import COEFFICIENTS, EXCLUSIVE_NAMES, is_facial_morph, names_of, normalised, without_node
-from ..files.assets import ASSETS
+from ..face.names import COEFFICIENTS, EXCLUSIVE_NAMES, names_of, normalised, without_node
 from ..files.reading import as_list, as_number, as_object, as_text, parse_format, parse_json, read_text, shown
 from ..numeric.arrays import FloatArray
 from ..numeric.least_squares import bounded_least_squares
 
-PRESETS = ASSETS / "key_maps"
 _FORMAT = "facemime-key-map"
 _MAX_ROWS = 10_000
 """Largest number of rows in a file."""
 _MAX_VALUE = 1e6
 """Largest gains and offsets in a file."""
-ESSENTIAL = frozenset({"jawOpen", "eyeBlinkLeft", "eyeBlinkRight"})
-"""Coefficients without which keys do not form a set for a whole face."""
-_MIN_MATCHES = 3
-"""Smallest number of keys by which a preset is recognised."""
 _RIDGE = 1e-3
 """Ridge of equation 9.8 towards the gains of the given table."""
 _FIRMNESS = 1e5
@@ -40,18 +34,6 @@ _FIRMNESS = 1e5
 double precision."""
 _MIN_GAIN = 0.01
 """Smallest learnt gain that is kept."""
-_GROUPS = {
-    "Brows": ("brow",),
-    "Eyes": ("eye", "lid", "blink"),
-    "Jaw": ("jaw",),
-    "Mouth": ("mouth", "tongue", "lip", "smile", "phoneme"),
-    "Cheeks and Nose": ("cheek", "nose", "sneer"),
-}
-"""For each group of curves, what coefficients and other names of it contain."""
-_LOOK = "eyelook"
-"""What the names of the coefficients of the gaze contain."""
-_OTHERS = "Face"
-"""Group of all other curves."""
 
 
 @dataclass(frozen=True)
@@ -285,50 +267,6 @@ def load_map(path: Path) -> KeyMap:
         raise SourceError("{path} cannot be read ({error}). Choose a key mapping.", path=path, error=error) from error
     except SourceError as error:
         raise SourceError("{path}: {error}", path=path, error=error) from error
-
-
-@lru_cache(maxsize=1)
-def presets() -> tuple[KeyMap, ...]:
-    """Return the shipped tables, ARKit's first."""
-    return tuple(load_map(path) for path in sorted(PRESETS.glob("*.json")))
-
-
-def best_preset(keys: Sequence[str]) -> KeyMap | None:
-    """Return the preset that fits `keys` best, with the names in `keys`, or None if none sets at least three.
-
-    The best preset sets most of the essential coefficients, and then most of the keys.
-    """
-    matches = [preset.matched(keys) for preset in presets()]
-    best = max(matches, key=lambda match: (len(ESSENTIAL & match.sources), len(match.keys)), default=None)
-    return best if best is not None and len(best.keys) >= _MIN_MATCHES else None
-
-
-def expression_keys(keys: Sequence[str]) -> list[str]:
-    """Return those of `keys` that are in any preset, or all if none is."""
-    return known_expressions(keys) or list(keys)
-
-
-def known_expressions(keys: Sequence[str]) -> list[str]:
-    """Return those of `keys` that are in any preset, or that FaceGen's heads name as expressions."""
-    known = {key for preset in presets() for key in preset.matched(keys, ranked=False).keys}
-    return [key for key in keys if key in known or is_facial_morph(key)]
-
-
-def curve_groups(keys: Sequence[str]) -> dict[str, str]:
-    """Return the name of the group of curves for each of `keys`, by what it moves."""
-    sources = {row.key: row.source for preset in reversed(presets()) for row in preset.matched(keys, ranked=False).rows}
-    return {key: _group(sources.get(key, key)) for key in keys}
-
-
-def gaze_keys(keys: Sequence[str]) -> set[str]:
-    """Return those of `keys` that show where the eyes look."""
-    sources = {row.key: row.source for preset in reversed(presets()) for row in preset.matched(keys, ranked=False).rows}
-    return {key for key in keys if _LOOK in normalised(sources.get(key, key))}
-
-
-def _group(name: str) -> str:
-    words = normalised(name)
-    return next((group for group, parts in _GROUPS.items() if any(part in words for part in parts)), _OTHERS)
 
 
 def exclusive_keys(keys: Sequence[str]) -> list[tuple[int, int]]:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..errors import DataError
 from ..face.names import N_COEFFICIENTS
-from ..heads.key_map import best_preset
+from ..heads.key_presets import best_preset
 from ..numeric.arrays import FloatArray
 from ..tracking.result import TrackResult
 from .measured import IMAGE_SIZE, coefficient_face

@@ -35,7 +35,7 @@ from facemime.core.face.landmarks import (
     UPPER_LIDS,
     UPPER_LIPS,
 )
-from facemime.core.heads.key_map import expression_keys
+from facemime.core.heads.key_presets import expression_keys
 from facemime.core.heads.symmetry import symmetry_of
 from facemime.core.numeric.arrays import FloatArray
 from facemime.core.puppet.performer import Performance

@@ -14,7 +14,8 @@ from facemime.core.bake.fit import fit_keys
 from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS, EXCLUSIVE_NAMES, FITTED
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.key_map import best_preset, exclusive_keys
+from facemime.core.heads.key_map import exclusive_keys
+from facemime.core.heads.key_presets import best_preset
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 

@@ -27,7 +27,7 @@ from facemime.core.drive.teaching import TaughtKeys
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.files.reading import parse_json
 from facemime.core.files.setting import Choice, Setting
-from facemime.core.heads import key_map
+from facemime.core.heads import key_map, key_presets
 from facemime.core.heads.built_in import HEAD_FILE, PART_NAMES, load_head
 from facemime.core.heads.facegen import FaceGenMesh, read_egm, read_obj, read_tri
 from facemime.core.heads.regions import membership, region_sigmas
@@ -184,7 +184,7 @@ def _read_points(text: str) -> None:
 
 
 def _key_map() -> Any:
-    return json.loads(key_map.presets()[0].to_json())
+    return json.loads(key_presets.presets()[0].to_json())
 
 
 def _read_key_map(text: str) -> None:

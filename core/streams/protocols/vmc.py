@@ -11,7 +11,7 @@ import numpy as np
 from ...face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
 from ...face.rotation import euler_to_matrix, matrix_to_euler, to_quaternion
 from ...heads.built_in import LOOKS, looks_of_eyes
-from ...heads.key_map import presets
+from ...heads.key_presets import presets
 from ...numeric.arrays import FloatArray
 from . import osc
 from .frames import FaceValues, PacketError, StreamFrame, checked, from_quaternion, no_coefficients

@@ -19,18 +19,8 @@ from facemime.core.face.landmarks import N_LANDMARKS
 from facemime.core.face.names import COEFFICIENTS, N_ACTIONS, normalised
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.key_map import (
-    KeyMap,
-    KeyRow,
-    best_preset,
-    exclusive_keys,
-    expression_keys,
-    from_json,
-    known_expressions,
-    learn_map,
-    load_map,
-    presets,
-)
+from facemime.core.heads.key_map import KeyMap, KeyRow, exclusive_keys, from_json, learn_map, load_map
+from facemime.core.heads.key_presets import best_preset, expression_keys, known_expressions, presets
 from facemime.core.numeric.least_squares import bounded_least_squares
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.takes import performance

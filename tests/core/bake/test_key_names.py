@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from facemime.core.face.names import names_of, normalised
-from facemime.core.heads.key_map import COEFFICIENTS, KeyMap, KeyRow, best_preset, known_expressions, presets
+from facemime.core.heads.key_map import COEFFICIENTS, KeyMap, KeyRow
+from facemime.core.heads.key_presets import ESSENTIAL, best_preset, known_expressions, presets, with_others
 
 
 def words(name):
@@ -150,6 +151,55 @@ def test_an_eyelid_is_closed_once_where_a_mesh_has_keys_for_each_and_for_both():
         posed = {key: of[0] for key, of in table.apply(values, dict.fromkeys([*both, *more], (0.0, 1.0))).items()}
         closed = {key for key, value in posed.items() if value}
         assert closed == {wanted, *([f"{wanted}右"] if more else [])} and all(posed[key] == 1.0 for key in closed)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        "Blink Smile MouthOpen",
+        "mouth_open blink.L blink.R smile.L smile.R",
+        "EyesClosed JawDrop BrowsUp",
+        "Wink_L Wink_R Open_Mouth",
+    ],
+)
+def test_keys_that_are_named_in_plain_words_are_found(keys):
+    keys = keys.split()
+    table = best_preset(["Basis", *keys])
+    assert set(table.keys) == set(keys) and table.sources >= ESSENTIAL
+    values = np.zeros((1, len(COEFFICIENTS)))
+    values[0, [COEFFICIENTS.index(name) for name in (*ESSENTIAL, "mouthSmileLeft", "mouthSmileRight")]] = 1.0
+    posed = table.apply(values, dict.fromkeys(keys, (0.0, 1.0)))
+    assert {key for key, of in posed.items() if of[0] == 1.0} == {key for key in keys if "Brow" not in key}
+
+
+VISEMES = [f"viseme_{name}" for name in "sil PP FF TH DD kk CH SS nn RR aa E I O U".split()]  # noqa: SIM905
+
+
+def test_what_a_vocabulary_lacks_is_shown_by_the_keys_of_another():
+    table = best_preset([*VISEMES, "eyeBlinkLeft", "eyeBlinkRight", "mouthSmileLeft", "mouthSmileRight"])
+    assert table.sources >= ESSENTIAL
+    shown = {row.source: row.key for row in table.rows}
+    assert shown["jawOpen"] == "viseme_aa" and shown["eyeBlinkLeft"] == "eyeBlinkLeft"
+    # A vowel that only resembles a smile makes way for one.
+    assert [row.key for row in table.rows if row.source == "mouthSmileLeft"] == ["mouthSmileLeft"]
+    without_jaw = [name for name in COEFFICIENTS if name != "jawOpen"]
+    table = best_preset([*without_jaw, "Fcl_MTH_A", "Fcl_MTH_O", "Fcl_MTH_Fun"])
+    assert {row.source: row.key for row in table.rows} == {
+        **dict(zip(without_jaw, without_jaw, strict=True)),
+        "jawOpen": "Fcl_MTH_A",
+    }
+
+
+def test_a_key_of_a_vocabulary_is_not_mistaken_for_one_of_another_name():
+    # What MikuMikuDance calls a smile shuts the eyes.
+    table = best_preset(["a", "i", "u", "e", "o", "blink", "smile"])
+    assert "mouthSmileLeft" not in {row.source for row in table.rows if row.key == "smile"}
+
+
+def test_keys_that_move_nothing_are_named_beside_those_that_do():
+    moving = ["jawOpen", "eyeBlinkLeft", "eyeBlinkRight", "Fcl_MTH_Fun"]
+    table = with_others(best_preset(moving), moving, [*moving, "cheekPuff", "Fcl_MTH_Joy"])
+    assert "cheekPuff" in table.keys and "Fcl_MTH_Joy" not in table.keys
 
 
 def test_a_jaw_that_drops_behind_closed_lips_is_one_key_of_sranipal():

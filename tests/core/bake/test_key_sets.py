@@ -9,7 +9,7 @@ from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.face.landmarks import lid_gaps, lip_gaps
 from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.built_in import load_head
-from facemime.core.heads.key_map import ESSENTIAL, best_preset
+from facemime.core.heads.key_presets import ESSENTIAL, best_preset
 from facemime.core.heads.rig import Part, built_in_head
 from facemime.core.heads.slits import SlitContact
 from facemime.core.mesh.triangles import crossing_pairs

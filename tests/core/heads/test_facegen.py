@@ -16,7 +16,7 @@ from facemime.core.face.names import normalised
 from facemime.core.files.assets import ASSETS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.facegen import read_egm, read_obj, read_tri
-from facemime.core.heads.key_map import best_preset, known_expressions
+from facemime.core.heads.key_presets import best_preset, known_expressions
 from tests.helpers.facegen_files import DIFFERENCE, OBJ, QUADS, TARGETS, TRIANGLES, UVS, VERTICES, egm, tri
 
 HEAD = np.array([1, -1, -1], np.float32)
