@@ -149,6 +149,34 @@ def test_a_character_with_keys_is_bound_without_landmarks_and_baked_to(keyed, na
     assert armature.pose.bones["Head"].matrix_basis.to_quaternion().angle > 0.01
 
 
+@pytest.mark.parametrize(
+    ("renamed", "others"),
+    [
+        ({"jawOpen": "Mouth Open", "eyeBlinkLeft": "Blink.L", "eyeBlinkRight": "Blink.R"}, ()),
+        (
+            {"jawOpen": "viseme_aa", "mouthFunnel": "viseme_O", "mouthPucker": "viseme_U"},
+            ("eyeBlinkLeft", "eyeBlinkRight"),
+        ),
+    ],
+    ids=["plain words", "two sets"],
+)
+def test_a_character_with_few_keys_is_driven_by_all_of_them(keyed, renamed, others):
+    objects = keyed("arkit")
+    for obj in objects.values():
+        for key in own_keys(obj) if obj.type == "MESH" and obj.data.shape_keys else ():
+            if key.name in renamed:
+                key.name = renamed[key.name]
+            elif key.name not in others:
+                obj.shape_key_remove(key)
+    assert bpy.ops.facemime.bind_keys() == {"FINISHED"}
+    head, names = objects["head"], [*renamed.values(), *others]
+    report = puppet_head(bpy.context.scene, head, performance())
+    assert report.keys == len(names)
+    # The lips hardly protrude in this performance.
+    moved = [name for name in names if name not in ("viseme_O", "viseme_U")]
+    assert all(np.ptp(values_at(head, name, range(1, 60))) > 0.05 for name in moved)
+
+
 @pytest.mark.thorough
 def test_a_character_bound_by_keys_is_baked_to_them_by_default(keyed):
     known, unknown = bind_keys(keyed()["head"]), make_character(rig=True)["head"]
