@@ -133,13 +133,13 @@ shipped tables have at most 5 names of another in common (Daz's are ARKit's, and
 
 @lru_cache(maxsize=1 << 14)
 def normalised(name: str) -> str:
-    """Normalise a name for comparison: `eyeBlinkL` and `Modifier EyeBlink-Left` both give "eyeblinkleft"."""
+    """Normalise a name for comparison: `Modifier EyeBlink-L` gives "eyeblinkleft", and `L_Blink` "leftblink"."""
     words = _words(name)
     first, _, rest = words.partition(" ")
     if rest and first.lower() in _KINDS:  # first, as the R of "Phoneme: R" is no side
         words = rest
-    for short, side in (("L", "left"), ("R", "right")):
-        words = re.sub(rf"(?<= ){short}$", side, words, flags=re.IGNORECASE)
+    for short, side in (("L", "left"), ("R", "right")) if " " in words else ():
+        words = re.sub(rf"\b{short}\b", side, words, flags=re.IGNORECASE)
     return words.replace(" ", "").casefold()
 
 

@@ -160,6 +160,7 @@ def test_an_eyelid_is_closed_once_where_a_mesh_has_keys_for_each_and_for_both():
         "mouth_open blink.L blink.R smile.L smile.R",
         "EyesClosed JawDrop BrowsUp",
         "Wink_L Wink_R Open_Mouth",
+        "L_Blink R_Blink Mouth_Open L_Smile R_Smile",
     ],
 )
 def test_keys_that_are_named_in_plain_words_are_found(keys):
