@@ -113,6 +113,8 @@ ACTION_MIRROR: NDArray[np.intp] = action_indices(_mirrored(name) for name in ACT
 """Mirror image of each action: ``actions[ACTION_MIRROR]`` are the actions of a face that was flipped left to right."""
 
 
+_SIDE_FIRST = re.compile(r"((?i:left|right))(?: |(?=[A-Z]))")
+"""A side before the rest of a name, as in `L_eyeBlink` or `leftEyeBlink`."""
 _NODE = re.compile(r"[.:|]|_(?=Fcl_)", re.IGNORECASE)
 """What is between the name of a node and that of a key, as Maya and VRoid Studio write it."""
 _FIRST = re.compile(r"^[\W_]*[^\W_]+[\W_]+(?=.)|^[\W_]+(?=.)")
@@ -133,13 +135,15 @@ shipped tables have at most 5 names of another in common (Daz's are ARKit's, and
 
 @lru_cache(maxsize=1 << 14)
 def normalised(name: str) -> str:
-    """Normalise a name for comparison: `Modifier EyeBlink-L` gives "eyeblinkleft", and `L_Blink` "leftblink"."""
+    """Normalise a name for comparison: `Modifier EyeBlink-Left` and `L_eyeBlink` give "eyeblinkleft"."""
     words = _words(name)
     first, _, rest = words.partition(" ")
     if rest and first.lower() in _KINDS:  # first, as the R of "Phoneme: R" is no side
         words = rest
     for short, side in (("L", "left"), ("R", "right")) if " " in words else ():
         words = re.sub(rf"\b{short}\b", side, words, flags=re.IGNORECASE)
+    if side_first := _SIDE_FIRST.match(words):
+        words = words[side_first.end() :] + side_first[1]
     return words.replace(" ", "").casefold()
 
 

@@ -203,6 +203,19 @@ def test_keys_that_move_nothing_are_named_beside_those_that_do():
     assert "cheekPuff" in table.keys and "Fcl_MTH_Joy" not in table.keys
 
 
+@pytest.mark.parametrize("first", ["{short}_{rest}", "{long}{rest}", "{long} {rest}"])
+def test_a_side_may_come_first(first):
+    def renamed(name: str) -> str:
+        side = next((side for side in ("Left", "Right") if name.endswith(side)), "")
+        rest = name.removesuffix(side)
+        return first.format(short=side[0], long=side.lower(), rest=rest[0].upper() + rest[1:]) if side else name
+
+    keys = [renamed(name) for name in COEFFICIENTS]
+    table = best_preset(keys)
+    assert {row.source: row.key for row in table.rows} == dict(zip(COEFFICIENTS, keys, strict=True))
+    assert normalised("leftovers") == "leftovers"
+
+
 def test_a_jaw_that_drops_behind_closed_lips_is_one_key_of_sranipal():
     keys = SETS["SRanipal"].split()
     values = np.zeros((1, len(COEFFICIENTS)))
