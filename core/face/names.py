@@ -129,7 +129,8 @@ _LEAST_LETTERS = 6
 """Letters of a known name that is found at the end of another without a separator: the names of vowels are in all."""
 _MIN_AFFIXED = 8
 """Known names that have to have a prefix or suffix before it is taken for one. By chance, the keys of one of the
-shipped tables have at most 5 names of another in common (Daz's are ARKit's, and so are ten of SRanipal's).
+shipped tables have at most 5 names of another in common (Daz's are ARKit's, and so are ten of SRanipal's; the plain
+words are also those of others).
 """
 
 
