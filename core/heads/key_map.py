@@ -134,17 +134,13 @@ class KeyMap:
 
     def summary(self) -> str:
         """Return a text that says how much of a performance the keys can show."""
-        keys, shown_of = len(self.keys), len(self.sources)
-        if shown_of == len(COEFFICIENTS):
-            return Message(
-                "{short_name}: {keys} shape keys for all 52 movements.", short_name=self.short_name, keys=keys
-            )
-        return Message(
-            "{short_name}: {keys} shape keys for {shown_of} of 52 movements.",
-            short_name=self.short_name,
-            keys=keys,
-            shown_of=shown_of,
-        )
+        values: dict[str, Any] = {"short_name": self.short_name, "keys": len(self.keys)}
+        if len(self.sources) == len(COEFFICIENTS):
+            return Message("{short_name}: {keys} shape keys for all 52 movements.", **values)
+        values["shown_of"] = len(self.sources)
+        if any(source.startswith("brow") for source in self.sources):
+            return Message("{short_name}: {keys} shape keys for {shown_of} of 52 movements.", **values)
+        return Message("{short_name}: {keys} shape keys for {shown_of} of 52 movements, none of the brows.", **values)
 
     def apply(self, coefficients: FloatArray, ranges: Mapping[str, tuple[float, float]]) -> dict[str, FloatArray]:
         """Compute the values of shape keys.

@@ -244,4 +244,6 @@ def test_a_table_says_how_much_it_can_show():
     full = presets()[0]
     assert full.summary() == "ARKit: 52 shape keys for all 52 movements."
     few = KeyMap("Mine", (KeyRow("jawOpen", "Open"), KeyRow("mouthFunnel", "Open"), KeyRow("mouthPucker", "Kiss")))
-    assert few.summary() == "Mine: 2 shape keys for 3 of 52 movements."
+    assert few.summary() == "Mine: 2 shape keys for 3 of 52 movements, none of the brows."
+    more = KeyMap("Mine", (*few.rows, KeyRow("browInnerUp", "Worried")))
+    assert more.summary() == "Mine: 3 shape keys for 4 of 52 movements."
