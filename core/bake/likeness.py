@@ -46,8 +46,8 @@ _CORNER = 3.0
 """Weight of the corners of the mouth, chosen on half A of the strangers' clips, where 2 and 4 are nearly as good. Of
 the weight of the gap between lids, 4 is as good."""
 _CHIN = 1.5
-"""Weight of the chin, which tells a jaw that opens from lips that part before shut teeth. Chosen on half A, where
-jaw and lips agree better from 0 to 2, and smiles a little worse."""
+"""Weight of the chin, which shows whether the jaw opens or only the lips part over clenched teeth. Chosen on half A,
+where jaw and lips agree better from 0 to 2, and smiles a little worse."""
 _NEARLY_SHUT = 0.8
 """How far lids are closed, as a share, from which a blink is at least that. From 0.7, clips compare alike."""
 _SHUT = 0.95
@@ -144,8 +144,8 @@ def _upper(moved: FloatArray) -> list[FloatArray]:
 
 
 def _lower(moved: FloatArray, chin: FloatArray) -> list[FloatArray]:
-    """Features of the lips, of displacements (N, 66, 3) without those of the whole head, and of the chin, with them:
-    without, a jaw that opens would look as an upper lip that rises and a lower one that falls.
+    """Features of the lips, of displacements (N, 66, 3) without those of the whole head, and of the `chin`, with them:
+    otherwise an opening jaw looks like a rising upper lip and a falling lower one.
     """
     gap = moved[:, LOWER_LIPS, 1] - moved[:, UPPER_LIPS, 1]
     corners = moved[:, MOUTH_CORNERS, :2]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Container, Iterable, Sequence, Set
 from functools import lru_cache
 
 from ..face.names import is_facial_morph, normalised
@@ -42,10 +42,10 @@ def presets() -> tuple[KeyMap, ...]:
 def best_preset(keys: Sequence[str]) -> KeyMap | None:
     """Return the preset that fits `keys` best, with the names in `keys`, or None if none sets at least three.
 
-    It is completed by others: meshes may have the vowels of one vocabulary and the blinks of another. The best preset
-    then sets most of the essential coefficients, all of them by itself if there is such a one, and most of the keys.
+    It is completed by others, as meshes may have the vowels of one vocabulary and the blinks of another. The best one
+    then sets most of the essential coefficients; among equals it sets all of them by itself, or else most of the keys.
     """
-    tables = [(preset.matched(keys), preset.matched(keys, ranked=False).keys) for preset in presets()]
+    tables = [(preset.matched(keys), {*preset.matched(keys, ranked=False).keys}) for preset in presets()]
     tables.sort(key=lambda table: -len(table[0].keys))
     others = [table for table, _ in tables]
 
@@ -57,15 +57,15 @@ def best_preset(keys: Sequence[str]) -> KeyMap | None:
     return max(pairs, key=fitness)[1] if pairs else None
 
 
-def _completed(table: KeyMap, known: Sequence[str], others: Iterable[KeyMap]) -> KeyMap:
-    """Add to a table what others show twice as much of, by keys that are not `known` to the table's vocabulary."""
+def _completed(table: KeyMap, known: Set[str], others: Iterable[KeyMap]) -> KeyMap:
+    """Let others show what a table lacks, or shows half as much, by keys that are not `known` to its vocabulary."""
     rows = list(table.rows)
     for other in others:
         for source in dict.fromkeys(row.source for row in other.rows):
             more = [row for row in other.rows if row.source == source]
             less = [row for row in rows if row.source == source]
             shown = max(_SHOWN, _TWICE * _strongest(less))
-            if _strongest(more) >= shown and not {row.key for row in more} & {*known}:
+            if _strongest(more) >= shown and known.isdisjoint(row.key for row in more):
                 rows = [*(row for row in rows if row.source != source), *more]
     return KeyMap(table.name, tuple(rows))
 

@@ -97,7 +97,7 @@ def test_a_smile_that_is_seen_to_be_a_frown_becomes_one(units):
 
 
 @pytest.mark.parametrize("amount", [0.6, 1.5])
-def test_lips_that_part_before_shut_teeth_hardly_open_the_jaw(units, amount):
+def test_lips_that_part_over_clenched_teeth_open_the_jaw_less_than_a_jaw_that_drops(units, amount):
     lips = {f"mouth{lip}{side}": 1.0 for lip in ("UpperUp", "LowerDown") for side in ("Left", "Right")}
     parted = alike(acted(), amount * acted(**lips) @ units)
     # A jaw that parts the lips as far takes the chin along.

@@ -210,7 +210,7 @@ def test_brows_that_are_certainly_knitted_throughout_are_shown_as_a_frown(space:
 
 
 @pytest.mark.parametrize(("seen", "own"), [(0.2, 0.2), (0.8, 0.35)])
-def test_a_nose_that_stays_wrinkled_is_no_ones_own(space: FaceSpace, seen, own) -> None:
+def test_a_nose_that_stays_strongly_wrinkled_is_not_the_persons_own(space: FaceSpace, seen, own) -> None:
     sneers = [ACTIONS.index("noseSneerRight"), ACTIONS.index("noseSneerLeft")]
     take = make_take(np.tile(somebody(space, 3), (60, 1, 1)))
     take.actions[:] = 0.0
