@@ -18,7 +18,7 @@ from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
 from .face_space import load_face_space
 from .facing import facing, usual_gaze
-from .rest import MAX_SHUT, expressed, median_of_known, resting_shape, shut_level, trust
+from .rest import MAX_SHUT, expressed, frowning, median_of_known, resting_shape, shut_level, trust
 from .take import Take
 
 _MIN_OPENING = 0.12
@@ -47,11 +47,6 @@ _ACTED = 0.6
 any, their height is more and more the person's own. From 0.45 to 0.7 frames of strangers compare alike."""
 _BROW_ACTIONS = action_indices(name for name in ACTIONS if name.startswith("brow"))
 _FROWN = action_indices(name for name in ACTIONS if name.startswith("browDown"))
-_FROWNS_FROM = 0.85
-"""Activation of knitted brows, on both sides, from which they are more than the person's own face. Above it, MediaPipe
-sees two to four times as much of a frown as below, on both halves of the strangers' clips; up to it, hardly any."""
-_FROWNS_FULLY = 0.95
-"""Activation from which the face certainly frowns."""
 _MOST_AT_REST = np.array([0.35 if name.startswith("noseSneer") else 1.0 for name in ACTIONS])
 """Largest activations that may be the person's own face. Of a wrinkled nose, all of 108 portraits at rest have less,
 and nine of ten of older people with shut lips, whose folds look like it."""
@@ -313,8 +308,7 @@ def _without(strong: FloatArray, take: Take, frames: IntArray, share: FloatArray
         actions = share @ take.actions[frames]
         acted = float(actions[_BROW_ACTIONS].max())  # NaN if unknown
         brows = min(acted / _ACTED, 1.0) if np.isfinite(acted) else 1.0
-        frown = float(np.nan_to_num(actions[_FROWN]).min())
-        knitted = min(max((frown - _FROWNS_FROM) / (_FROWNS_FULLY - _FROWNS_FROM), 0.0), 1.0)
+        knitted = frowning(shape, float(np.nan_to_num(actions[_FROWN]).min()))
         shape = resting_shape(shape, brows, mouth_aperture(take.shape[take.found].astype(np.float64)), knitted)
         own[_FROWN] -= knitted
     rested = np.sort(frames[share >= 0.5 * share.max()])

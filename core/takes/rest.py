@@ -42,12 +42,25 @@ _TOWARDS_MEAN = 0.5
 pass for rest. On the strangers' clips of `lab.bench.strangers`, the more the better the frames of different people
 compare, on either half; beyond 0.5 the signs of the hand-labelled clips get worse, as a person's own brows pass for
 expression."""
+_FROWNS_FROM = 0.85
+"""Activation of knitted brows, on both sides, from which they are more than the person's own face. Above it, MediaPipe
+sees two to four times as much of a frown as below, on both halves of the strangers' clips; up to it, hardly any."""
+_FROWNS_FULLY = 0.95
+"""Activation from which the face certainly frowns."""
+_LOW_COUNTS = 0.2
+"""By how much smaller both may be if the brows are low and the lips do not smile. At rest, none of 108 people in studio
+portraits has low brows and more than 0.6; those who smile in official ones have up to 0.87."""
+_LOW = 0.015
+"""Distance in eye distances below the mean face's from which brows are low. Of strangers whose activation is above 0.5,
+those in whose eyes MediaPipe sees a frown are 0.014 to 0.021 below it, and the others 0.007 to 0.023 above."""
 _FROWN_DOWN = 0.04
 """Distance in eye distances by which a certain frown lowers the brows at least: four fifths of *browDown*."""
 _FROWN_IN = 0.02
 """Distance in eye distances by which it draws each of them in."""
 _ALONG_EYE = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0]) / 3.0 - 0.5
 """Places of an eye's landmarks between its corners, from the middle, in iBUG's order."""
+_EYES_AND_BROWS = ((EYE_RIGHT, BROWS[:5]), (EYE_LEFT, BROWS[5:]))
+"""The landmarks of each eye and of the brow above it."""
 _SEALED = 0.1
 """Share of a take in which the lips are at most as far apart as at rest. Chosen on one half of the strangers' clips."""
 _MAX_SEALED = 0.03
@@ -79,6 +92,14 @@ def expressed(take: Take, frames: IntArray, activations: FloatArray) -> tuple[Fl
     return amount, np.maximum(activations - np.maximum(usual, _WEAK), 0.0)
 
 
+def frowning(shape: FloatArray, activation: float) -> float:
+    """How certain it is, 0 to 1, that a shape (66, 3) frowns, by how knitted and how low its brows are."""
+    away = _away(shape)
+    heights = [away[brow, 1].mean() - away[eye[[0, 3]], 1].mean() for eye, brow in _EYES_AND_BROWS]
+    low = min(max(float(np.mean(heights)) / _LOW, 0.0), 1.0) * (1.0 - load_face_space().acting_probability(away))
+    return min(max((activation + _LOW_COUNTS * low - _FROWNS_FROM) / (_FROWNS_FULLY - _FROWNS_FROM), 0.0), 1.0)
+
+
 def resting_shape(shape: FloatArray, brows: float, openings: FloatArray, knitted: float = 0.0) -> FloatArray:
     """Move a shape (66, 3) towards the mean of people's faces, with lips as far apart as the take's shut ones.
 
@@ -86,15 +107,14 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray, knitted
     `openings` (N,) are those of the mouth; `knitted`, 0 to 1, is how certain it is that the shape frowns. Pose and size
     of the face stay.
     """
-    space = load_face_space()
-    away = without_similarity((shape - space.mean)[None], space.mean)[0]
+    space, away = load_face_space(), _away(shape)
     acted = space.expressed(away)
     # Heights of brows and lids differ more between people than the space covers: all of it may be expression. The
     # sockets of the eyes and the bridge of the nose do not move, or lids would slide off the eyeballs, so lids are
     # measured from the line between the corners of their eye, and brows from its middle.
     acted[BROWS, 1] = brows * away[BROWS, 1]
     acted[NOSE[:4]] = 0.0
-    for eye, brow in ((EYE_RIGHT, BROWS[:5]), (EYE_LEFT, BROWS[5:])):
+    for eye, brow in _EYES_AND_BROWS:
         first, last = away[eye[[0, 3]], 1]
         acted[eye] = 0.0
         acted[eye, 1] = away[eye, 1] - 0.5 * (first + last) - _ALONG_EYE * (last - first)
@@ -118,6 +138,12 @@ def resting_shape(shape: FloatArray, brows: float, openings: FloatArray, knitted
     rest[UPPER_LIPS, 1] -= lacking / 2.0
     rest[LOWER_LIPS, 1] += lacking / 2.0
     return np.asarray(rest)
+
+
+def _away(shape: FloatArray) -> FloatArray:
+    """Displacement (66, 3) of a shape from the mean of people's faces, without that of the pose and size."""
+    mean = load_face_space().mean
+    return np.asarray(without_similarity((shape - mean)[None], mean)[0])
 
 
 def shut_level(neutral: FloatArray, shapes: FloatArray) -> float:

@@ -82,6 +82,7 @@ ABLATIONS: Mapping[str, Mapping[tuple[Any, str], Any]] = {
     "broad mouths not told to smile": {(face_space, "_ACTS"): 1e3},
     "brows as far as the rest": {(neutral, "_ACTED"): 1e-6},
     "frowns that last not told by their actions": {(resting, "_FROWN_DOWN"): -1.0, (resting, "_FROWN_IN"): -1.0},
+    "frowns told by their actions alone": {(resting, "_LOW_COUNTS"): 0.0},
     "brows' doubt up to an activation of 0.3": {(neutral, "_ACTED"): 0.3},
     "brows' doubt up to an activation of 0.8": {(neutral, "_ACTED"): 0.8},
     "gap of shut lips not from the take": {(resting, "_MAX_SEALED"): 1e-6},

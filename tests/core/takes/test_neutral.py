@@ -26,6 +26,7 @@ from facemime.core.face.landmarks import (
 from facemime.core.face.names import ACTIONS
 from facemime.core.takes.face_space import FaceSpace, load_face_space, without_similarity
 from facemime.core.takes.neutral import Neutral, calibrate
+from facemime.core.takes.rest import frowning
 from facemime.core.takes.take import Take
 from tests.helpers.takes import make_take
 
@@ -197,7 +198,7 @@ def lowered(take: Take, neutral: Neutral) -> np.ndarray:
 
 def test_brows_that_are_certainly_knitted_throughout_are_shown_as_a_frown(space: FaceSpace) -> None:
     face = somebody(space, 8)
-    frowns, doubtful = knitting(face, 0.97, 0.96), knitting(face, 0.97, 0.8)
+    frowns, doubtful = knitting(face, 0.97, 0.96), knitting(face, 0.97, 0.6)
     found, other = calibrate(frowns), calibrate(doubtful)
     assert (lowered(frowns, found) >= 0.0399).all()
     apart = [face[from_ibug((22,))[0], 0] - face[from_ibug((21,))[0], 0] for face in (found.shape, frowns.shape[0])]
@@ -207,6 +208,24 @@ def test_brows_that_are_certainly_knitted_throughout_are_shown_as_a_frown(space:
     rest = np.setdiff1d(np.arange(66), BROWS)
     np.testing.assert_allclose(found.shape[rest], other.shape[rest], atol=1e-9)
     assert other.actions[ACTIONS.index("browDownRight")] == pytest.approx(0.97)
+
+
+@pytest.mark.parametrize(("down", "seen", "frowns"), [(0.03, 0.8, True), (-0.03, 0.8, False), (0.03, 0.6, False)])
+def test_low_brows_that_seem_knitted_are_a_frown_and_high_ones_the_persons_own(space, down, seen, frowns) -> None:
+    face = space.mean.copy()
+    face[BROWS, 1] += down
+    take = knitting(face, seen, seen)
+    found = calibrate(take)
+    own = found.actions[ACTIONS.index("browDownLeft")]
+    assert own == pytest.approx(0.0 if frowns else seen, abs=1e-6)
+    assert (lowered(take, found) >= 0.0399).all() == frowns
+
+
+def test_low_brows_above_a_smile_are_no_frown(space: FaceSpace) -> None:
+    smiles = space.mean.copy()
+    smiles[BROWS, 1] += 0.03
+    smiles[MOUTH_CORNERS] += [[-0.08, -0.06, 0.0], [0.08, -0.06, 0.0]]
+    assert frowning(smiles, 0.8) < 0.05 < 0.95 < frowning(smiles, 1.0)
 
 
 @pytest.mark.parametrize(("seen", "own"), [(0.2, 0.2), (0.8, 0.35)])
