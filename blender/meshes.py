@@ -51,11 +51,13 @@ def mesh_of(obj: bpy.types.Object | None) -> bpy.types.Mesh:
 
 
 def make_room(key: bpy.types.ShapeKey, value: float) -> None:
-    """Extend the range of a shape key to a value that would be clipped to it; a range that ends before 1 is a choice of
-    the user's, and stays.
+    """Extend the range of a shape key to a value that would be clipped to it; a range that ends before 1, or does not
+    begin at 0, is a choice of the user's, and stays.
     """
     if 1.0 <= key.slider_max < value:
         key.slider_max = value
+    if value < key.slider_min == 0.0:
+        key.slider_min = -1.0
 
 
 def keys_of(obj: bpy.types.Object) -> bpy.types.Key:

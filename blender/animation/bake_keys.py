@@ -328,9 +328,9 @@ def bake_values(
                 if name in own_keys.key_blocks and curve.data_path not in following
             ]
             for curve in own:
-                make_room(
-                    own_keys.path_resolve(curve.data_path.removesuffix(".value")), float(curve.values.max(initial=0.0))
-                )
+                key = own_keys.path_resolve(curve.data_path.removesuffix(".value"))
+                make_room(key, float(curve.values.max(initial=0.0)))
+                make_room(key, float(curve.values.min(initial=0.0)))
             own += _beneath_corrections(own_keys, own, len(frames))
             name = f"{obj.name} Expression"
             silenced += write_curves(own_keys, name, frames, own, action=action, nla=nla, add=keep, leave_drivers=keep)

@@ -85,7 +85,7 @@ class LiveValues:
             if name in blocks and value_path(name) not in following
         }
         self._names = [names[number] for number in self._places.values()]
-        self._extended: dict[str, float] = {}
+        self._extended: dict[str, tuple[float, float]] = {}
 
     def attach(self) -> None:
         """Remember the values, and set aside what animates or drives them."""
@@ -109,11 +109,11 @@ class LiveValues:
             first.value = first.value  # a bulk write does not update the scene
 
     def _make_room(self, values: NDArray[Any]) -> None:
-        """Extend the ranges of keys that have to exceed 1 to shut the eyes, and remember them."""
+        """Extend the ranges of keys that have to exceed 1 to shut the eyes, or move both ways, and remember them."""
         for place, number in self._places.items():
-            if values[number] > 1.0:
+            if not 0.0 <= values[number] <= 1.0:
                 block = self._keys.key_blocks[place]
-                self._extended.setdefault(block.name, block.slider_max)
+                self._extended.setdefault(block.name, (block.slider_min, block.slider_max))
                 make_room(block, float(values[number]))
 
     def detach(self, *, keep: bool) -> None:
@@ -124,9 +124,9 @@ class LiveValues:
             self._keys.pop(VALUES_PROPERTY, None)
         clear_values(self._keys)
         if not keep:
-            for name, highest in self._extended.items():
+            for name, ends in self._extended.items():
                 if (block := self._keys.key_blocks.get(name)) is not None:
-                    block.slider_max = highest
+                    block.slider_min, block.slider_max = ends
         restore(self._keys)
 
 

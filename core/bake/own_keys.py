@@ -4,7 +4,9 @@ performer does (method.md, section 9.4).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,6 +48,10 @@ _SLIVER = 0.02
 0.07 on that avatar, 0.01 on the built-in heads."""
 _SHUT = 0.01
 """The same, below which the eye counts as shut."""
+_OPPOSITES = {("up", "down"), ("left", "right"), ("in", "out"), ("forward", "back"), ("open", "close")}
+"""Words that, one after the other in either order, name a key that moves both ways: *Brow Up-Down*."""
+_WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+"""A word of the name of a key, in camel case or between separators."""
 _AMOUNTS = np.linspace(1.0, 1.4, 9)
 """Values of a blink that are tried."""
 
@@ -147,11 +153,24 @@ def _factor(rest: FloatArray, faces: IntArray, motion: FloatArray) -> float:
     return next(float(amount) for amount in _AMOUNTS if (seen(float(amount)) - least) / opening < _SHUT)
 
 
+def _both_ways(key: str) -> bool:
+    """Whether the name of a key states a direction and the opposite one."""
+    words = [word.lower() for word in _WORD.findall(key)]
+    return any({pair, pair[::-1]} & _OPPOSITES for pair in pairwise(words))
+
+
 def reaching(
     ranges: Mapping[str, tuple[float, float]], table: KeyMap, lids: FloatArray
 ) -> dict[str, tuple[float, float]]:
-    """Return the ranges of keys; those of blinks that end at 1 or later reach as far as the `lids`, (2,), need."""
+    """Return the ranges of keys, as far as the mapping needs them.
+
+    Those of blinks that end at 1 or later reach as far as the `lids`, (2,), need. Importers begin all ranges at 0;
+    those of keys whose names state two directions, and which the mapping moves both ways, begin at -1.
+    """
     wide = dict(ranges)
+    for key in {row.key for row in table.rows if row.gain < 0.0 and _both_ways(row.key)} & wide.keys():
+        low, high = wide[key]
+        wide[key] = (-1.0 if low == 0.0 and high >= 1.0 else low, high)
     for column, factor in zip(BLINKS, lids.tolist(), strict=True):
         for key in {row.key for row in table.rows if row.source == COEFFICIENTS[column]} & wide.keys():
             low, high = wide[key]

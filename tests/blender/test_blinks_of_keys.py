@@ -14,6 +14,7 @@ from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import outer_eye_distance
 from facemime.core.face.names import COEFFICIENTS
 from facemime.core.heads.built_in import load_head
+from facemime.core.heads.key_map import KeyMap, KeyRow
 from facemime.core.heads.rig import Part
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.take import Take
@@ -117,3 +118,22 @@ def test_live_values_beyond_the_range_are_shown_and_the_range_returns():
     live.write(np.array([1.2, 0.4]))
     live.detach(keep=True)
     assert keys.key_blocks[BLINKS[0]].value == pytest.approx(1.2)
+
+
+def test_keys_that_move_both_ways_are_baked_and_shown_below_0():
+    head = character(1.0)
+    keys = head.data.shape_keys
+    key = keys.key_blocks["eyeBlinkLeft"]
+    key.name = "Lids Open-Close"
+    table = KeyMap("Mine", (KeyRow("eyeBlinkLeft", key.name, gain=-1.0), KeyRow("eyeBlinkRight", "eyeBlinkRight")))
+    settings = PuppetSettings(bake=BakeSettings(keys="mapped", table=table), neutral=0.0)
+    puppet_head(bpy.context.scene, head, blinking(), settings)
+    bpy.context.scene.frame_set(int(1 + 1.5 * 24))
+    assert key.slider_min == -1.0 and key.value < -0.5
+    key.slider_min = 0.0
+    live = LiveValues(keys, [key.name], set())
+    live.attach()
+    live.write(np.array([-0.8]))
+    assert key.value == pytest.approx(-0.8)
+    live.detach(keep=False)
+    assert key.slider_min == 0.0

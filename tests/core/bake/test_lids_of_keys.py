@@ -107,3 +107,21 @@ def test_only_ranges_of_blinks_that_end_at_1_are_extended():
     wide = reaching(ranges, table, np.array([1.2, 1.2]))
     assert wide == {"eyeBlinkLeft": (0.0, 1.2), "eyeBlinkRight": (0.0, 0.6), "jawOpen": (0.0, 1.0)}
     assert reaching({}, table, np.array([1.2, 1.2])) == {}
+
+
+@pytest.mark.parametrize(
+    ("key", "gain", "before", "after"),
+    [
+        ("eCTRLBrowInnerUp-DownL", -0.7, (0.0, 1.0), (-1.0, 1.0)),
+        ("brow_down_up", -1.0, (0.0, 1.0), (-1.0, 1.0)),
+        ("MouthLeftRight", -1.0, (0.0, 1.0), (-1.0, 1.0)),
+        ("MouthLeftRight", 1.0, (0.0, 1.0), (0.0, 1.0)),  # the mapping moves it one way
+        ("MouthLeftRight", -1.0, (0.0, 0.5), (0.0, 0.5)),  # chosen by the user
+        ("MouthLeftRight", -1.0, (-0.5, 1.0), (-0.5, 1.0)),
+        ("MouthOpen", -1.0, (0.0, 1.0), (0.0, 1.0)),  # lips that close further would meet the teeth
+        ("LookUpLeft", -1.0, (0.0, 1.0), (0.0, 1.0)),
+    ],
+)
+def test_keys_that_are_named_after_two_directions_reach_below_0(key, gain, before, after):
+    table = KeyMap("Mine", (KeyRow("browDownLeft", key, gain=gain), KeyRow("browInnerUp", key)))
+    assert reaching({key: before}, table, np.ones(2)) == {key: after}
