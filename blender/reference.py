@@ -31,7 +31,7 @@ def add_reference(
     Raises SourceError if the video cannot be read.
     """
     with VideoSource(path) as video:
-        turn = video.turn
+        turn, pixel_aspect = video.turn, video.pixel_aspect
     image = bpy.data.images.load(str(path), check_existing=True)
     image.source = "MOVIE"
     empty = bpy.data.objects.new(f"{path.stem} Reference", None)
@@ -39,7 +39,8 @@ def add_reference(
     empty.data = image  # type: ignore[assignment]  # an empty may have an image
     empty.image_user.use_auto_refresh = True
     _keep_in_step(scene, empty, image.frame_duration, _rate_in_blender(path), offset, start)
-    width, height = image.size
+    image.display_aspect = (max(pixel_aspect, 1.0), max(1.0 / pixel_aspect, 1.0))
+    width, height = image.size[0] * image.display_aspect[0], image.size[1] * image.display_aspect[1]
     turned = bpy.app.version < _ROTATES_VIDEOS
     if turned and turn % 180:
         width, height = height, width

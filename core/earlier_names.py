@@ -28,7 +28,7 @@ MODULES = {
     "files.archives": "archives",
     "numeric.arrays": "arrays",
     "files.assets": "assets version",
-    "files.capture": "capture files.frame_finder images",
+    "files.capture": "capture images",
     "files.closing": "closing",
     "face.landmarks": "apertures landmarks",
     "numeric.least_squares": "bake.least_squares",

@@ -42,11 +42,13 @@ class Message(str):
         return self
 
     @classmethod
-    def read(cls, text: str, template: str) -> Message:
-        """Return a message that a file contains as a text: one of the template if it fits, otherwise a constant."""
-        pattern = re.sub(r"\\{(\w+)\\}", r"(?P<\1>.*)", re.escape(template))
-        match = re.fullmatch(pattern, text)
-        return cls(text) if match is None else cls(template, **match.groupdict())
+    def read(cls, text: str, *templates: str) -> Message:
+        """Return a message that a file contains as a text: one of the first template that fits, or a constant."""
+        for template in templates:
+            pattern = re.sub(r"\\{(\w+)\\}", r"(?P<\1>.*)", re.escape(template))
+            if (match := re.fullmatch(pattern, text)) is not None:
+                return cls(template, **match.groupdict())
+        return cls(text)
 
 
 def messages(texts: Mapping[_Key, str]) -> dict[_Key, Message]:

@@ -16,7 +16,7 @@ from ..core.takes.face_models import FPS, read_moving_face
 from ..core.takes.face_parameters import MAX_FPS, MIN_FPS
 from ..core.takes.face_parameters import SUFFIXES as PARAMETERS
 from ..core.takes.file import SUFFIX, load_take, save_take
-from ..core.takes.from_video import VIDEO_CUT
+from ..core.takes.from_video import PICTURES_SKIPPED, VIDEO_CUT
 from ..core.takes.numbered_meshes import SUFFIXES as MESHES
 from ..core.takes.recordings import SUFFIXES as RECORDINGS
 from ..core.takes.recordings import read_recording
@@ -201,7 +201,7 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
     )
     fps: FloatProperty(
         name="Frame Rate",
-        description="Rate of numbered meshes, and of parameters whose file states none",
+        description="Rate of numbered meshes, and of parameters and tables whose file states none",
         default=FPS,
         min=MIN_FPS,
         max=MAX_FPS,
@@ -214,14 +214,14 @@ class FACEMIME_OT_import_take(AsksForFile, bpy.types.Operator):
             model = Path(bpy.path.abspath(self.model)) if self.model else None
             is_moving = path.suffix.lower() not in RECORDINGS
             fps = self.fps if self.properties.is_property_set("fps") else None
-            take = read_moving_face(path, fps, model) if is_moving else read_recording(path, self.angles)
+            take = read_moving_face(path, fps, model) if is_moving else read_recording(path, self.angles, fps)
             takes_store.keep(context.scene, take, path.stem)
             _report_notes(self, take)
             return
         take = load_take(path)
         takes_store.add(context.scene, path, take)
         if warning := take.info.get("recovered"):
-            report(self, Message.read(warning, VIDEO_CUT), "WARNING")
+            report(self, Message.read(warning, VIDEO_CUT, PICTURES_SKIPPED), "WARNING")
 
 
 class FACEMIME_OT_export_take(AsksForFileToWrite, OnTake, bpy.types.Operator):

@@ -12,7 +12,7 @@ from ..blender.messages import show_error
 from ..blender.timeline import frames_of, seconds_of
 from ..blender.viewports import FreeBox, redraw
 from ..core.errors import FacemimeError, SourceError
-from ..core.files.capture import FrameFinder
+from ..core.files.frame_finder import FrameFinder
 from ..core.numeric.arrays import FloatArray
 from ..core.takes.pin_editor import PinEditor
 from ..core.takes.take import Take

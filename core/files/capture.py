@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,11 +29,20 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 MAX_PIXELS = 1 << 26
 """Largest number of pixels of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
 _NUMBERED = re.compile(r"(\D*)(\d*)")
+_LAST_NUMBER = re.compile(r"(.*?)(\d{1,9})")
+_SPARSE = 2
+"""How many times as long as its pictures a numbered sequence may be; longer ones are pictures that were picked."""
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
-_ROOM = 1 << 27
-"""Bytes of the last images that are kept, so that a step back need not decode the video again."""
-_BEFORE = 0.5
-"""Seconds before a frame that was jumped to in which images are kept as well."""
+_MOST_STRETCHED = 4.0
+"""Largest ratio of the sides of a pixel; any other is taken for a mistake in the file."""
+_FASTEST = 120.0
+"""Largest nominal rate that is believed without a look at the times. Recorders in browsers state 1000."""
+_LOOKED_AT = 60
+"""Frames from whose times a rate is found instead."""
+_USUAL_RATES = np.array([24000 / 1001, 24.0, 25.0, 30000 / 1001, 30.0, 50.0, 60000 / 1001, 60.0, 90.0, 120.0, 240.0])
+"""Frames per second at which is recorded."""
+_INEXACT = 0.05
+"""Largest difference, as a share of it, between a found rate and the usual one that is meant."""
 
 
 @dataclass(frozen=True)
@@ -62,14 +71,16 @@ class VideoSource(Closing):
     ----------
     path : Path
         Any file that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. Frames are rotated upright as
-        the file states, as phone videos require.
+        the file states, as phone videos require, and stretched if their pixels are not square, as those of DV are.
 
     Attributes
     ----------
     turn : int
         Degrees by which the stored frames are rotated clockwise: 0, 90, 180 or 270.
+    pixel_aspect : float
+        Width of the stored pixels, before they are rotated and stretched, divided by their height.
     fps : float
-        Nominal rate in frames per second; 25 if the file states none.
+        Nominal rate in frames per second, or the usual one of the times if the file states none or an impossible one.
     frame_count : int
         Stated number of frames, which may be wrong; 0 if unknown.
 
@@ -101,9 +112,13 @@ class VideoSource(Closing):
             )
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+        self.pixel_aspect = self._pixel_aspect()
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        self.fps = fps if np.isfinite(fps) and 1.0 <= fps <= 1000.0 else 25.0
-        self.frame_count = max(0, int(self._capture.get(cv2.CAP_PROP_FRAME_COUNT)))
+        self.fps = fps if 1.0 <= fps <= _FASTEST else self._usual_rate()
+        count = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
+        # A file that states no number of frames only states how long it lasts.
+        count *= self.fps / fps if fps > _FASTEST else 1.0
+        self.frame_count = max(0, int(count)) if np.isfinite(count) else 0
 
     def __iter__(self) -> Iterator[Frame]:
         for index, time in enumerate(self.times()):
@@ -114,7 +129,9 @@ class VideoSource(Closing):
     def image(self) -> NDArray[np.uint8] | None:
         """Return the image of the frame at which `times` is, (H, W, 3) BGR, or None if it cannot be decoded."""
         read, image = self._capture.retrieve()
-        return np.asarray(image, dtype=np.uint8) if read and image is not None else None
+        if not read or image is None:
+            return None
+        return self._squared(np.asarray(image, dtype=np.uint8))
 
     def times(self) -> Iterator[float]:
         """Advance from frame to frame, and yield the time of each in seconds from the first one."""
@@ -133,6 +150,32 @@ class VideoSource(Closing):
                 path=self.path,
             )
 
+    def _pixel_aspect(self) -> float:
+        sides = [float(self._capture.get(side)) for side in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN)]
+        aspect = sides[0] / sides[1] if min(sides) > 0.0 else 1.0
+        return aspect if 1.0 / _MOST_STRETCHED <= aspect <= _MOST_STRETCHED else 1.0
+
+    def _squared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return an upright image with square pixels; the side that is too short grows."""
+        wider = self.pixel_aspect if self.turn % 180 == 0 else 1.0 / self.pixel_aspect
+        if wider == 1.0:
+            return image
+        height, width = image.shape[:2]
+        size = (round(width * max(wider, 1.0)), round(height * max(1.0 / wider, 1.0)))
+        return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def _usual_rate(self) -> float:
+        """Find the rate from the times of the first frames; 25 if they tell nothing."""
+        frames = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
+        times = [float(frames.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0 for _ in range(_LOOKED_AT) if frames.grab()]
+        frames.release()
+        steps = np.diff(times)
+        if not (steps > 0.0).any():
+            return 25.0
+        rate = 1.0 / float(np.median(steps[steps > 0.0]))
+        usual = float(_USUAL_RATES[np.abs(np.log(_USUAL_RATES / rate)).argmin()])
+        return usual if abs(rate / usual - 1.0) < _INEXACT else min(max(rate, 1.0), 1000.0)
+
     def close(self) -> None:
         """Release the file; may be called twice."""
         self._capture.release()
@@ -145,9 +188,10 @@ PICTURE_RATE = 25.0
 class PictureSource(Closing):
     """The pictures in a folder as the frames of a video, in the order of their names; 2.png comes before 10.png.
 
-    Pictures that cannot be read are skipped. `fps` is the rate, and `frame_count` the number of pictures. Raises
-    SourceError if the rate is impossible, or the folder is missing or has no pictures; while reading, if no picture can
-    be read.
+    Pictures that cannot be read are skipped, and so are missing ones of a numbered sequence: later ones keep their
+    times. `fps` is the rate, `frame_count` the number of pictures, and `skipped` the number of pictures that were not
+    shown so far. Raises SourceError if the rate is impossible, or the folder is missing or has no pictures; while
+    reading, if no picture can be read.
     """
 
     def __init__(self, folder: Path, rate: float = PICTURE_RATE) -> None:
@@ -161,17 +205,21 @@ class PictureSource(Closing):
         if not self._pictures:
             raise SourceError("There are no images in {folder}. Use JPEG, PNG, BMP, TIFF or WebP.", folder=folder)
         self.frame_count = len(self._pictures)
+        self.skipped = 0
 
     def __iter__(self) -> Iterator[Frame]:
         unreadable: SourceError | None = None
-        shown = 0
-        for picture in self._pictures:
+        shown, start = 0, None
+        for place, picture in zip(_places(self._pictures), self._pictures, strict=True):
             try:
                 image = read_image(picture)
             except SourceError as error:
                 unreadable = error
                 continue
-            yield Frame(image, shown / self.fps, shown)
+            if place is not None:
+                start = place if start is None else start
+                self.skipped = place - start - shown
+            yield Frame(image, (shown + self.skipped) / self.fps, shown)
             shown += 1
         if not shown and unreadable is not None:
             raise unreadable
@@ -189,6 +237,17 @@ def pictures_in(folder: Path) -> list[Path]:
     except OSError as error:
         raise unreadable_folder(folder, error) from error
     return sorted(pictures, key=lambda path: [(int(n or 0), text) for text, n in _NUMBERED.findall(path.name)])
+
+
+def _places(pictures: Sequence[Path]) -> Sequence[int | None]:
+    """Return the place of each picture in its sequence by its number, or None for each if they are none."""
+    named = [match for path in pictures if (match := _LAST_NUMBER.fullmatch(path.stem))]
+    if len(named) == len(pictures) > 1 and len({match[1] for match in named}) == 1:
+        numbers = np.array([int(match[2]) for match in named])
+        places = (numbers - numbers[0]) // max(int(np.gcd.reduce(np.diff(numbers))), 1)
+        if np.diff(places).min() > 0 and places[-1] < _SPARSE * len(places):
+            return [int(place) for place in places]
+    return [None] * len(pictures)
 
 
 def unreadable_folder(folder: Path, error: OSError) -> SourceError:
@@ -333,54 +392,3 @@ def write_image(path: Path, image: NDArray[np.uint8]) -> None:
         )
     with replacing(path) as temporary:
         temporary.write_bytes(data.tobytes())
-
-
-class FrameFinder(Closing):
-    """Finds the frame of a video at a time.
-
-    Frames are decoded one after the other, from the first one again to go far back: few files state well where a frame
-    is, so a jump would miss it. A frame on the way costs about a millisecond. Raises SourceError as `VideoSource`.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._kept: dict[float, NDArray[np.uint8]] = {}
-        self._open()
-
-    def _open(self) -> None:
-        self._video = VideoSource(self._path)
-        self._times = self._video.times()
-        self._time = -np.inf
-
-    def at(self, seconds: float) -> NDArray[np.uint8] | None:
-        """Return the image of the frame nearest to a time from the first frame, (H, W, 3) BGR, or None.
-
-        Raises SourceError if the file can no longer be read.
-        """
-        near = 0.5 / self._video.fps
-        if (kept := self._nearest(seconds, near)) is not None:
-            return kept
-        if self._time > seconds - near:
-            self.close()
-            self._open()
-        for time in self._times:
-            self._time = time
-            if time >= seconds - _BEFORE and (image := self._video.image()) is not None:
-                self._keep(time, image)
-            if time >= seconds - near:
-                break
-        return self._nearest(seconds, near)
-
-    def _nearest(self, seconds: float, near: float) -> NDArray[np.uint8] | None:
-        time = min(self._kept, key=lambda time: abs(time - seconds), default=np.inf)
-        return self._kept[time] if abs(time - seconds) <= near else None
-
-    def _keep(self, time: float, image: NDArray[np.uint8]) -> None:
-        self._kept.pop(time, None)
-        self._kept[time] = image
-        while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > _ROOM:
-            del self._kept[next(iter(self._kept))]
-
-    def close(self) -> None:
-        """Release the file; may be called twice."""
-        self._video.close()

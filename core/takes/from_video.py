@@ -30,6 +30,8 @@ _COMPLETE = 0.9
 """Share of the stated frames, or of the stated duration, from which on a video is complete: headers are inexact."""
 VIDEO_CUT = "The video was cut or damaged. Missing: {missing}."
 """Template of what is noted in a take whose video ends too soon."""
+PICTURES_SKIPPED = "{count} pictures are missing or damaged. The other ones keep their times."
+"""Template of what is noted in a take of pictures of which some were not shown."""
 
 
 def track_video(
@@ -100,9 +102,8 @@ def track_video(
                     recorder.note(interrupted=True)
                     break
             else:
-                if (lost := _lost_after(source, len(recorder), frame.time)) > 0.0:
-                    missing = f"{lost:.2f} s after {frame.time:.2f} s"
-                    recorder.note(recovered=Message(VIDEO_CUT, missing=missing))
+                if missing := _missing(source, len(recorder), frame.time):
+                    recorder.note(recovered=missing)
         except KeyboardInterrupt:
             if len(recorder) == 0:
                 raise
@@ -168,9 +169,8 @@ def track_people(
                     _note(recorders, interrupted=True)
                     break
             else:
-                if (lost := _lost_after(source, len(times), frame.time)) > 0.0:
-                    missing = f"{lost:.2f} s after {frame.time:.2f} s"
-                    _note(recorders, recovered=Message(VIDEO_CUT, missing=missing))
+                if missing := _missing(source, len(times), frame.time):
+                    _note(recorders, recovered=missing)
         except KeyboardInterrupt:
             if not recorders:
                 raise
@@ -228,12 +228,14 @@ class _Recorder(Closing):
             self._writer.close()
 
 
-def _lost_after(source: VideoSource | PictureSource, count: int, last: float) -> float:
-    """Return how many seconds of a video are missing after the last image, which is at `last` seconds."""
+def _missing(source: VideoSource | PictureSource, count: int, last: float) -> str:
+    """Say what is missing of a video of `count` images, the last of which is at `last` seconds; "" if nothing is."""
+    if isinstance(source, PictureSource):
+        return Message(PICTURES_SKIPPED, count=source.skipped) if source.skipped else ""
     stated = source.frame_count / source.fps
-    if isinstance(source, PictureSource) or count >= _COMPLETE * source.frame_count or last >= _COMPLETE * stated:
-        return 0.0
+    if count >= _COMPLETE * source.frame_count or last >= _COMPLETE * stated:
+        return ""
     # Some files state only how long they last, which may be how long their sound does.
     images = last_image(source.path)
     stated = stated if images is None else images
-    return max(0.0, stated - last) if last < _COMPLETE * stated else 0.0
+    return Message(VIDEO_CUT, missing=f"{stated - last:.2f} s after {last:.2f} s") if last < _COMPLETE * stated else ""

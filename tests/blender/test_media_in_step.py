@@ -55,6 +55,18 @@ def test_the_reference_shows_the_image_of_the_takes_time(fps, start, offset, cli
         assert abs(times[shown] - min(wanted, times[-1])) <= 2 / RATE + 0.5 / RATE
 
 
+@pytest.mark.parametrize("aspect", [1.5, 0.5])
+def test_the_reference_has_the_shape_in_which_players_show_the_video(clip, aspect, monkeypatch):
+    monkeypatch.setattr(VideoSource, "_pixel_aspect", lambda source: aspect)
+    head = add_head(bpy.context)
+    empty = add_reference(bpy.context.scene, clip[0], 0.0, head)
+    width, height = (side * pixel for side, pixel in zip(empty.data.size, empty.data.display_aspect, strict=True))
+    stored = empty.data.size[0] / empty.data.size[1]
+    assert width / height == pytest.approx(aspect * stored, rel=1e-3)
+    tall = np.ptp([corner[2] for corner in head.bound_box])
+    assert empty.empty_display_size == pytest.approx(tall * max(width / height, 1.0), rel=1e-3)
+
+
 @pytest.mark.thorough
 def test_blender_numbers_the_images_of_a_video_by_time(clip):
     path, times = clip

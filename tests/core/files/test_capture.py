@@ -21,6 +21,7 @@ from facemime.core.files.capture import (
     read_image,
     write_image,
 )
+from tests.helpers.matroska import browser_video
 from tests.helpers.turned import turned_clip
 
 
@@ -49,6 +50,31 @@ def test_phone_videos_are_upright_in_any_orientation(tmp_path, turn, bright):
     assert source.turn == turn and image.shape == ((48, 64, 3) if turn % 180 == 0 else (64, 48, 3))
     parts = {"top": image[:12], "bottom": image[-12:], "left": image[:, :12], "right": image[:, -12:]}
     assert max(parts, key=lambda side: parts[side].mean()) == bright
+
+
+@pytest.mark.parametrize("shown", [(96, 48), (64, 96), (64, 48)])
+def test_pixels_that_are_not_square_are_stretched_to_what_players_show(tmp_path, shown):
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:, :32] = 255
+    with VideoSource(browser_video(tmp_path / "clip.mkv", [image] * 3, [0, 40, 80], shown)) as source:
+        frame = next(iter(source)).image
+    assert frame.shape == (shown[1], shown[0], 3)
+    assert frame[:, : shown[0] // 2 - 4].min() > 200 and frame[:, shown[0] // 2 + 4 :].max() < 50
+    assert source.pixel_aspect == pytest.approx((shown[0] / shown[1]) / (64 / 48), rel=1e-3)
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 29.97, 60.0])
+def test_the_rate_of_a_browsers_recording_is_that_of_its_images(tmp_path, rate):
+    jitter = np.random.default_rng(0).integers(-5, 6, 40)
+    times = np.round(1000.0 * np.arange(40) / rate).astype(int)
+    times[1:] += jitter[1:] if rate < 60.0 else 0
+    path = browser_video(
+        tmp_path / "clip.mkv", [np.full((48, 64, 3), 5 * i, np.uint8) for i in range(40)], times.tolist()
+    )
+    with VideoSource(path) as source:
+        frames = list(source)
+    assert source.fps == pytest.approx(rate, rel=0.07)
+    np.testing.assert_allclose([frame.time for frame in frames], times / 1000.0, atol=1e-3)
 
 
 def test_a_truncated_video_yields_its_complete_frames(tmp_path):
@@ -189,6 +215,23 @@ def test_pictures_are_frames_in_the_order_of_their_numbers(tmp_path):
         frames = list(source)
     assert [int(frame.image.mean()) for frame in frames] == [20, 50, 80]
     assert [frame.time for frame in frames] == [0.0, 0.1, 0.2] and source.fps == 10.0
+
+
+@pytest.mark.parametrize("step", [1, 5])
+def test_later_pictures_of_a_sequence_keep_their_times_where_some_are_missing_or_damaged(tmp_path, step):
+    numbers = [n for n in range(12) if n not in (4, 5)]
+    folder = pictures(tmp_path / "clip", [f"frame_{100 + step * n:04d}.png" for n in numbers])
+    (folder / f"frame_{100 + 2 * step:04d}.png").write_bytes(b"damaged")
+    with open_video(folder, 10.0) as source:
+        frames = list(source)
+    assert [round(10.0 * frame.time) for frame in frames] == [0, 1, 3, 6, 7, 8, 9, 10, 11]
+    assert source.skipped == 3 and [frame.index for frame in frames] == list(range(9))
+
+
+def test_pictures_that_were_picked_follow_each_other(tmp_path):
+    folder = pictures(tmp_path / "clip", ["IMG_1200.png", "IMG_1207.png", "IMG_1251.png"])
+    with open_video(folder, 10.0) as source:
+        assert [frame.time for frame in source] == [0.0, 0.1, 0.2] and source.skipped == 0
 
 
 def test_a_folder_without_pictures_is_refused(tmp_path):

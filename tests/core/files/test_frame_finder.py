@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import SourceError
-from facemime.core.files.capture import FrameFinder, VideoSource
+from facemime.core.files.capture import VideoSource
+from facemime.core.files.frame_finder import FrameFinder
 
 
 @pytest.fixture(scope="module")

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.files.media_headers import SOUND, VIDEO, last_image, read_starts, sound_lead
+from tests.helpers.matroska import element
 
 
 def box(name: bytes, *content: bytes) -> bytes:
@@ -31,12 +32,6 @@ def track(handler: bytes, edits: list[tuple[int, int]], late: int = 0, *, mov: b
 def movie(*tracks: bytes) -> bytes:
     header = box(b"mvhd", struct.pack(">IIIII", 0, 0, 0, 1000, 0))
     return box(b"ftyp", b"isom") + box(b"mdat", bytes(40)) + box(b"moov", header, *tracks)
-
-
-def element(name: int, content: bytes, *, unknown: bool = False) -> bytes:
-    """An element of Matroska; its length may be unknown, as a recording of a browser has it."""
-    size = b"\x01" + (b"\xff" * 7 if unknown else len(content).to_bytes(7, "big"))
-    return name.to_bytes((name.bit_length() + 7) // 8, "big") + size + content
 
 
 def matroska(blocks: list[tuple[int, int, int]], *, unknown: bool = False) -> bytes:
