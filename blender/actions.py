@@ -31,7 +31,7 @@ from .fcurves import (
     tracked_strips,
     tracks_of_bakes,
 )
-from .muting import Silenced, driven_paths, keyed_paths, mute_paths, muted_paths, unmute_noted
+from .muting import Silenced, driven_paths, end_solo, keyed_paths, mute_paths, muted_paths, unmute_noted
 
 _PEAK = 3.0
 """Height of a peak that is a keyframe, in errors."""
@@ -101,6 +101,7 @@ def write_curves(
     if not curves:
         return []
     paths = {curve.data_path for curve in curves}
+    silent = end_solo(owner)
     if add and (beneath := keyed_paths(owner) & paths):
         _push_down(owner, frames)
         action = action or CharacterAction(name, ())
@@ -108,8 +109,8 @@ def write_curves(
         for added in (True, False):
             if part := [curve for curve in curves if (curve.data_path in beneath) == added]:
                 _push(owner, name, frames, part, action, add=added)
-        return mute_paths(owner, paths, curves=False)
-    muted = mute_paths(owner, paths)
+        return [*silent, *mute_paths(owner, paths, curves=False)]
+    muted = [*silent, *mute_paths(owner, paths)]
     if nla or muted_paths(owner) & paths or _is_blended(owner):
         _push(owner, name, frames, curves, action or CharacterAction(name, ()))
         return muted
@@ -175,6 +176,7 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
         for strip in [strip for strip in track.strips if is_baked(strip)]:
             track.strips.remove(strip)
         if data is not None and not track.strips:
+            track.is_solo = False  # otherwise nothing would play any more
             data.nla_tracks.remove(track)
     if data is not None and (owned := owned_paths(data)):
         fcurves = curves_in(data)

@@ -24,7 +24,7 @@ from .names import MUTED_PROPERTY
 
 _KEYS = 'key_blocks["Facemime '
 """Prefix of the data paths of Facemime's shape keys."""
-_CURVE, _DRIVER, _TRACK = "curve", "driver", "track"
+_CURVE, _DRIVER, _TRACK, _SOLO = "curve", "driver", "track", "solo"
 _SHOWN = 3
 """Channels of an action that are named in a message."""
 
@@ -144,6 +144,26 @@ def mute_others(owner: bpy.types.ID, paths: Collection[str] | None = None) -> li
     return _noted(owner, muted) if paths is not None else _silenced(muted)
 
 
+def end_solo(owner: bpy.types.ID) -> list[Silenced]:
+    """Mute all tracks but one that plays alone, so that a bake can be seen beside it, and return what was muted.
+
+    Curves of the active action, which it silenced as well, are muted, too.
+    """
+    data = owner.animation_data
+    alone = next((track for track in tracks_of(owner) if track.is_solo), None)
+    if data is None or alone is None:
+        return []
+    alone.is_solo = False
+    others = [track for track in data.nla_tracks if track != alone and not track.mute]
+    curves = [curve for curve in curves_in(data) if not curve.mute]
+    for silent in (*others, *curves):
+        silent.mute = True
+    silenced = [(_TRACK, track.name, track.name) for track in others]
+    silenced += [(_CURVE, curve.data_path, action_name(data)) for curve in curves]
+    _noted(owner, [(_SOLO, alone.name, alone.name)])
+    return _noted(owner, silenced)
+
+
 def mute_for_now(stack: ExitStack, owner: bpy.types.ID, paths: Collection[str]) -> None:
     """Mute the curves of the action and the drivers of some data paths until a stack ends."""
     playing = (*curves_in(owner.animation_data), *drivers_of(owner))
@@ -162,6 +182,9 @@ def unmute_noted(owner: bpy.types.ID) -> None:
     for kind, muted, name in (*paths, *((_TRACK, track, track.name) for track in tracks_of(owner))):
         if [kind, name] in lines:
             muted.mute = False
+    for track in tracks_of(owner):
+        if [_SOLO, track.name] in lines:
+            track.is_solo = True
     del owner[MUTED_PROPERTY]
 
 

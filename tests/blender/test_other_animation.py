@@ -54,6 +54,19 @@ def _strip(head):
     data.action, data.nla_tracks[0].name = None, "Idle"
 
 
+def _solo(head):
+    """A strip on a track that plays alone, above one that it silences."""
+    animate(head, "mouthSmileLeft", "Silent")
+    data = head.data.shape_keys.animation_data
+    data.nla_tracks.new().strips.new("Silent", 1, data.action)
+    data.nla_tracks[0].name, data.action = "Silent", None
+    animate(head)
+    data.nla_tracks.new().strips.new("Idle", 1, data.action)
+    data.nla_tracks[1].name, data.action = "Idle", None
+    head.data.shape_keys.key_blocks["mouthSmileLeft"].value = 0.0
+    data.nla_tracks[1].is_solo = True
+
+
 def _added_action(head):
     animate(head)
     head.data.shape_keys.animation_data.action_blend_type = "ADD"
@@ -78,7 +91,7 @@ def plain():
 
 
 @pytest.mark.parametrize("nla", [False, True])
-@pytest.mark.parametrize("moved", [_curves, _strip, _added_action, _driver])
+@pytest.mark.parametrize("moved", [_curves, _strip, _solo, _added_action, _driver])
 def test_a_bake_mutes_what_moves_its_keys_and_its_removal_lets_it_play_again(moved, nla, plain):
     head = add_head(bpy.context, units=True)
     moved(head)
