@@ -68,18 +68,23 @@ COEFFICIENT_MIRROR: NDArray[np.intp] = np.array([COEFFICIENT_INDEX[_mirrored(nam
 left to right."""
 
 
-def _spellings() -> dict[str, int]:
-    """Column of each coefficient by its spellings as letters in lower case: `eyeblinkleft` and `eyeblinkl`."""
+def _spellings() -> dict[str, tuple[int, str]]:
+    """Column and half of each coefficient by its spellings as letters in lower case: `eyeblinkleft` and `eyeblinkl`.
+
+    Some programs divide coefficients that have no sides into halves, such as `browInnerUp_L`; others have the half "".
+    """
     found = {}
     for name, column in COEFFICIENT_INDEX.items():
-        found[name.lower()] = column
+        stem = name.removesuffix("Left").removesuffix("Right")
         for side in ("Left", "Right"):
-            if name.endswith(side):
-                found[f"{name.removesuffix(side)}{side[0]}".lower()] = column
+            half = side if stem == name else ""
+            if half or name.endswith(side):
+                found[f"{stem}{side}".lower()] = found[f"{stem}{side[0]}".lower()] = column, half
+        found[name.lower()] = column, ""
     return found
 
 
-SPELLINGS: Mapping[str, int] = _spellings()
+_SPELLINGS: Mapping[str, tuple[int, str]] = _spellings()
 _SUFFIX = re.compile(r"[.|:/](?:weight|value)s?$|[\])]$", re.IGNORECASE)
 _PREFIX = re.compile(r"^.*[.|:/\[(](?=...)")
 """That of a node, but not the name before the `.L` of a side."""
@@ -88,15 +93,42 @@ _SET = re.compile(r"^(?:arkit|blendshapes?|bs)")
 
 
 @lru_cache(maxsize=1024)
+def _read(name: str) -> tuple[int | None, str]:
+    letters = re.sub(r"[\W_]", "", _PREFIX.sub("", _SUFFIX.sub("", name.strip()))).lower()
+    found = _SPELLINGS.get(letters) or _SPELLINGS.get(_SET.sub("", letters))
+    return (None, "") if found is None else found
+
+
 def column_of(name: str) -> int | None:
     """Return the column of a coefficient by any of its usual names, or None for other names.
 
     Capitals and what separates words do not matter, as in `eye_blink_left` or `EyeBlink_L`, nor does the name of a node
-    or a set, as in `blendShapes.EyeBlinkLeft`, `Head|jawOpen` or `weights[jawOpen]`.
+    or a set, as in `blendShapes.EyeBlinkLeft`, `Head|jawOpen` or `weights[jawOpen]`. A coefficient without sides may be
+    divided into halves, as in `browInnerUp_L`.
     """
-    letters = re.sub(r"[\W_]", "", _PREFIX.sub("", _SUFFIX.sub("", name.strip()))).lower()
-    found = SPELLINGS.get(letters)
-    return SPELLINGS.get(_SET.sub("", letters)) if found is None else found
+    return _read(name)[0]
+
+
+def combined(values: Iterable[tuple[str, float]]) -> dict[int, float]:
+    """Return the values of coefficients by their columns, for values by name, of which others are left out.
+
+    Of several spellings of a coefficient the largest value counts, as programs send those that they do not measure as
+    0; of its halves the mean.
+    """
+    found: dict[int, dict[str, float]] = {}
+    for name, value in values:
+        column, half = _read(name)
+        if column is not None:
+            halves = found.setdefault(column, {})
+            halves[half] = max(value, halves.get(half, value))
+    return {column: _whole(halves) for column, halves in found.items()}
+
+
+def _whole(halves: dict[str, float]) -> float:
+    if len(halves) == 1:
+        return next(iter(halves.values()))
+    sides = [value for half, value in halves.items() if half]
+    return max(halves.get("", -np.inf), sum(sides) / len(sides))
 
 
 ACTIONS: tuple[str, ...] = (*_SINGLE_ACTIONS, *(name + side for name in _SIDED_ACTIONS for side in ("Right", "Left")))

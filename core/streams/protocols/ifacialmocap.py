@@ -13,7 +13,7 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from ...face.names import column_of
+from ...face.names import combined
 from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, no_coefficients, turned
 
 PORT = 49983
@@ -63,13 +63,11 @@ class IFacialMocapDecoder:
         values = {entry[1]: entry[2] for part in parts if (entry := _VALUE.fullmatch(part)) is not None}
         if _TRACKED in values and float(values.pop(_TRACKED)) == 0.0:
             return [StreamFrame(None)]
-        coefficients, known = no_coefficients(), 0
-        for name, value in values.items():
-            if (column := column_of(name)) is not None:
-                coefficients[column] = 0.01 * float(value)
-                known += 1
+        known = combined((name, 0.01 * float(value)) for name, value in values.items())
         if not known:
             raise PacketError("no value of a face")
+        coefficients = no_coefficients()
+        coefficients[list(known)] = list(known.values())
         poses = [pose[1] for part in parts if (pose := _HEAD.fullmatch(part)) is not None]
         head = tuple(map(float, poses[0].split(","))) if poses else self._head
         face = phone_face(coefficients, head)

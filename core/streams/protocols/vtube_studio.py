@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 from math import pi
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
-from ...face.names import column_of
+from ...face.names import combined
 from ...files.reading import parse_json
 from .frames import MAX_DATAGRAM, FaceValues, PacketError, StreamFrame, checked, finite, no_coefficients, turned
 
@@ -61,14 +61,12 @@ class VTubeStudioDecoder:
 def _coefficients(entries: Any) -> np.ndarray[Any, np.dtype[np.float64]]:
     if not isinstance(entries, list) or len(entries) > _MAX_ENTRIES:
         raise PacketError("the values are missing")
-    coefficients, known = no_coefficients(), 0
-    for entry in entries:
-        name, value = (entry.get("k"), entry.get("v")) if isinstance(entry, dict) else (None, None)
-        if isinstance(name, str) and _is_number(value) and (column := column_of(name)) is not None:
-            coefficients[column] = value
-            known += 1
+    stated = [(str(entry.get("k")), entry.get("v")) for entry in entries if isinstance(entry, dict)]
+    known = combined((name, value) for name, value in stated if _is_number(value))
     if not known:
         raise PacketError("the values are missing")
+    coefficients = no_coefficients()
+    coefficients[list(known)] = list(known.values())
     return coefficients
 
 
@@ -80,5 +78,5 @@ def _vector(value: Any) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def _is_number(value: Any) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, int | float) and not isinstance(value, bool)

@@ -273,6 +273,14 @@ def test_vtube_studio_is_read_by_name_whatever_the_spelling():
     assert value_of(frame.face, "eyeBlinkLeft") == 0.25
 
 
+def test_vtube_studio_on_android_is_read_with_its_halves_and_its_unused_spellings():
+    sent = {"browInnerUp_L": 0.8, "browInnerUp_R": 0.6, "cheekPuff_L": 0.4, "EyeBlinkLeft": 0.9, "eyeBlink_L": 0.002}
+    entries = [{"k": name, "v": value} for name, value in sent.items()]
+    (frame,) = VTubeStudioDecoder().decode(golden_vtube_studio(BlendShapes=entries))
+    for name, value in (("browInnerUp", 0.7), ("cheekPuff", 0.4), ("eyeBlinkLeft", 0.9)):
+        assert value_of(frame.face, name) == pytest.approx(value)
+
+
 @pytest.mark.parametrize("stamp", [None, 0, -1, "now", True])
 def test_vtube_studio_without_a_time_is_played_evenly(stamp):
     packet = json.loads(golden_vtube_studio()) | {"Timestamp": stamp}
