@@ -24,8 +24,8 @@ _WIDTH = 26
 _AXES = ("Pitch", "Yaw", "Roll")
 _LOOKS = 0.5
 """Seconds between two attempts to recognise a packet by trying all decoders."""
-_INCOMPLETE = 500
-"""Number of accepted packets without a face after which the sender is taken to send none; VMC sends one per value."""
+_FACELESS = 2.0
+"""Seconds of accepted packets without a face after which the sender is taken to send none."""
 _RECENT = 2.0
 """Seconds for which what arrived counts as arriving."""
 
@@ -93,22 +93,18 @@ class Diagnosis:
 
     def __init__(self, settings: StreamSettings) -> None:
         self._settings = settings
-        self._accepted = 0
+        self._faceless: tuple[float, str] | None = None  # since when, and from which host
         self._looked = float("-inf")
         self._last: tuple[float, str] | None = None
 
     def accept(self, address: Address, now: float, *, frames: int) -> None:
         """Note an accepted packet, and how many frames it completed."""
         if frames:
-            self._accepted, self._last = 0, None
+            self._faceless, self._last = None, None
             return
-        self._accepted += 1
-        if self._accepted >= _INCOMPLETE:
-            faceless = Message(
-                "Packets arrive from {host}, but no face in them. Check in the app that it sends the face.",
-                host=address[0],
-            )
-            self._say(faceless, now)
+        since, _ = self._faceless = self._faceless or (now, address[0])
+        if now - since >= _FACELESS:
+            self._say(_no_face(address[0]), now)
 
     def refuse(self, error: PacketError, data: bytes, address: Address, now: float) -> None:
         """Note a packet that was not accepted, with its sender and the time in seconds on any clock."""
@@ -126,8 +122,10 @@ class Diagnosis:
         return self._last[1]
 
     def nothing_came(self) -> str:
-        """Return what to do if no packet has come at all."""
+        """Return what to do if no face has come at all."""
         settings = self._settings
+        if self._faceless is not None:
+            return _no_face(self._faceless[1])
         if settings.pairing is not None:
             address = settings.pairing.address
             return Message(
@@ -189,6 +187,12 @@ class Diagnosis:
             label=label,
             name=name,
         )
+
+
+def _no_face(host: str) -> str:
+    return Message(
+        "Packets arrive from {host}, but no face in them. Check in the app that it sends the face.", host=host
+    )
 
 
 def recognise(data: bytes, settings: StreamSettings) -> str | None:

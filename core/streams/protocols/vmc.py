@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of
+from ...face.names import COEFFICIENT_INDEX, COEFFICIENTS, N_COEFFICIENTS, column_of, combined
 from ...face.rotation import euler_to_matrix, matrix_to_euler, to_quaternion
 from ...heads.built_in import LOOKS, looks_of_eyes
 from ...heads.key_presets import presets
@@ -54,13 +54,17 @@ _MAX_NAME = 64
 
 
 class VmcDecoder:
-    """Collects the values of a frame, which ends with `/VMC/Ext/Blend/Apply`."""
+    """Collects the values of a frame, which ends with `/VMC/Ext/Blend/Apply`.
+
+    Until the first one, it also ends when a value comes again, as some senders leave it out.
+    """
 
     def __init__(self) -> None:
         self._values: dict[str, float] = {}
         self._bones = {name: np.eye(3) for name in ("Neck", "Head", *_EYES)}
         self._time: float | None = None
         self._tracked = True
+        self._came: set[str] | None = set()
 
     def decode(self, data: bytes) -> list[StreamFrame]:
         """Decode a datagram. See `Decoder.decode`."""
@@ -73,7 +77,7 @@ class VmcDecoder:
         address, arguments = message
         kind = address.removeprefix("/VMC/Ext/")
         if kind == "Blend/Val":
-            self._value(arguments)
+            self._value(arguments, frames)
         elif kind == "Bone/Pos":
             self._bone(arguments)
         elif kind == "T":
@@ -81,6 +85,7 @@ class VmcDecoder:
         elif kind == "OK":
             self._tracked = len(arguments) < 4 or arguments[3] != 0
         elif kind == "Blend/Apply":
+            self._came = None
             frames.append(self._frame())
         return address.startswith("/VMC/")
 
@@ -102,13 +107,19 @@ class VmcDecoder:
         size = np.abs(eyes).max()
         return eyes if _LEAST_GAZE < size < _MAX_GAZE else None
 
-    def _value(self, arguments: tuple[osc.Argument, ...]) -> None:
+    def _value(self, arguments: tuple[osc.Argument, ...], frames: list[StreamFrame]) -> None:
         (value,) = osc.numbers(arguments[1:], 1)
         if not isinstance(arguments[0], str):
             raise PacketError("not an expression")
         name = arguments[0].lower()[:_MAX_NAME]
         if name not in self._values and len(self._values) >= _MAX_NAMES:
             raise PacketError("too many expressions")
+        if self._came is not None:
+            if arguments[0] in self._came:  # avatars may have names that differ in their case only
+                frames.append(self._frame())
+                self._came.clear()
+            if len(self._came) < _MAX_NAMES:
+                self._came.add(arguments[0])
         self._values[name] = value
 
     def _bone(self, arguments: tuple[osc.Argument, ...]) -> None:
@@ -120,7 +131,7 @@ class VmcDecoder:
 
 def _coefficients(values: dict[str, float]) -> FloatArray:
     coefficients = no_coefficients()
-    known = {column: value for name, value in values.items() if (column := column_of(name)) is not None}
+    known = combined(values.items())
     # A sender for both kinds of avatar sends the names of one kind as 0.
     if any(known.values()):
         coefficients[list(known)] = list(known.values())

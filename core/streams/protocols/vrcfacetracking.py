@@ -25,13 +25,17 @@ Part = tuple[str, float, float]
 _SIDES = ("Left", "Right")
 _OPEN = 0.75
 """EyeLid of an open eye; more is a wide one."""
-_PARAMETER = re.compile(r"/avatar/parameters/(?:.*/)?v2/(\w+?)(Negative|[1-9]\d{0,2})?")
+_LID = 0.8
+"""The same of version 4, whose LeftEyeLidExpanded is 1 for a wide eye."""
+_PARAMETER = re.compile(r"/avatar/parameters/(?:.*/)?(\w+?)(Negative|[1-9]\d{0,2})?")
 _ACTIVE = re.compile(r"/avatar/parameters/(?:.*/)?(Eye|Expression|Lip)TrackingActive")
 _GAZE = "/tracking/eye/LeftRightPitchYaw"
 """VRChat's own message of the gaze of each eye, in degrees down and to the performer's right."""
 _CLOSED = "/tracking/eye/EyesClosedAmount"
 """VRChat's own message of how far both eyes are closed, as a share."""
 _PREFIXES = ("/avatar/", "/tracking/")
+_MOVED = 5
+"""Values that have to change, since a sender stated that nothing is tracked, for a face to be there all the same."""
 _BITS = tuple(1 << bit for bit in range(8))
 
 
@@ -140,6 +144,25 @@ def _sided(side: str) -> dict[str, tuple[tuple[Part, ...], ...]]:
     }
 
 
+def _earlier_names() -> dict[str, str]:
+    """Parameters of version 4, which older avatars have, and today's that mean the same."""
+    found = {
+        **{"EyesX": "EyeX", "EyesY": "EyeY", "CombinedEyeLid": "EyeOpen", "EyesWiden": "EyeWide"},
+        **{"EyesSqueeze": "EyesSquint", "MouthApeShape": "MouthClosed", "MouthPout": "LipPucker"},
+        **{"MouthUpperOverturn": "LipFunnelUpper", "MouthLowerOverturn": "LipFunnelLower"},
+        **{"MouthUpperInside": "LipSuckUpper", "MouthLowerInside": "LipSuckLower"},
+        **{"MouthLowerOverlay": "MouthRaiserLower", "TongueLongStep1": "TongueOut", "PuffSuck": "CheekPuffSuck"},
+    }
+    for side in _SIDES:
+        found |= {f"{side}EyeX": f"Eye{side}X", f"{side}EyeY": f"Eye{side}Y", f"{side}EyeLid": f"EyeOpen{side}"}
+        found |= {f"{side}EyeWiden": f"EyeWide{side}", f"{side}EyeSqueeze": f"EyeSquint{side}"}
+        found |= {f"PuffSuck{side}": f"CheekPuffSuck{side}"}
+    return found
+
+
+_EARLIER = _earlier_names()
+_EXPANDED = re.compile(r"(Left|Right|Combined)EyeLidExpanded(?:Squeeze)?")
+"""Lids of version 4: shut at 0, open at `_LID` and wide at 1; below 0 they are squeezed."""
 _RECIPES = tuple((COEFFICIENT_INDEX[name], recipes) for name, recipes in _recipes().items())
 _KNOWN = {name for _, recipes in _RECIPES for parts in recipes for name, _, _ in parts} | {
     f"Eye{side}{axis}" for side in ("", *_SIDES) for axis in "XY"
@@ -147,7 +170,10 @@ _KNOWN = {name for _, recipes in _RECIPES for parts in recipes for name, _, _ in
 
 
 class VrcFaceTrackingDecoder:
-    """Collects parameters. A bundle is a frame; without bundles, a frame ends when a parameter comes again."""
+    """Collects parameters. A bundle is a frame; without bundles, a frame ends when a parameter comes again.
+
+    Some headsets never state that they track, so values that change are a face as well.
+    """
 
     def __init__(self) -> None:
         self._values: dict[str, float] = {}
@@ -155,6 +181,7 @@ class VrcFaceTrackingDecoder:
         self._gaze: FloatArray | None = None
         self._active: dict[str, bool] = {}
         self._came: set[str] = set()
+        self._moved = 0
 
     def decode(self, data: bytes) -> list[StreamFrame]:
         """Decode a datagram. See `Decoder.decode`."""
@@ -185,14 +212,28 @@ class VrcFaceTrackingDecoder:
         elif address == _CLOSED:
             self._values[_CLOSED] = numbers[0]
         elif (active := _ACTIVE.fullmatch(address)) is not None:
-            self._active[active[1]] = numbers[0] != 0.0
-        elif (matched := _PARAMETER.fullmatch(address)) is None or matched[1] not in _KNOWN:
+            self._active[active[1]], self._moved = numbers[0] != 0.0, 0
+        elif (matched := _PARAMETER.fullmatch(address)) is None:
+            return False
+        elif (lid := _EXPANDED.fullmatch(matched[1])) is not None and matched[2] is None:
+            self._lid(lid[1].replace("Combined", ""), numbers[0])
+        elif (name := _EARLIER.get(matched[1], matched[1])) not in _KNOWN:
             return False
         elif matched[2] is None:
-            self._values[matched[1]] = numbers[0]
+            self._set(name, numbers[0])
         else:
-            return self._bit(matched[1], matched[2], numbers[0] != 0.0)
+            return self._bit(name, matched[2], numbers[0] != 0.0)
         return True
+
+    def _set(self, name: str, value: float) -> None:
+        self._moved += self._values.get(name) not in (None, value)
+        self._values[name] = value
+
+    def _lid(self, side: str, value: float) -> None:
+        """Set the lids of a side, or of both, from a value of version 4."""
+        wide = (1.0 - _OPEN) / (1.0 - _LID) * (value - _LID)
+        self._set(f"EyeLid{side}", max(value, 0.0) * _OPEN / _LID if value < _LID else _OPEN + wide)
+        self._set(f"EyeSquint{side}" if side else "EyesSquint", max(-value, 0.0))
 
     def _bit(self, name: str, bit: str, value: bool) -> bool:
         """Read a bit of a parameter, or its sign; returns whether it is one."""
@@ -203,11 +244,11 @@ class VrcFaceTrackingDecoder:
         places = [int(place) for place in bits if place != "Negative"]
         if places:
             share = sum(place for place in places if bits[str(place)]) / (2 * max(places) - 1)
-            self._values[name] = -share if bits.get("Negative") else share
+            self._set(name, -share if bits.get("Negative") else share)
         return True
 
     def _frame(self) -> StreamFrame:
-        if self._active and not any(self._active.values()):
+        if self._active and not any(self._active.values()) and self._moved < _MOVED:
             return StreamFrame(None)
         coefficients, eyes = no_coefficients(), self._eyes()
         for column, recipes in _RECIPES:

@@ -112,6 +112,20 @@ def test_packets_without_a_face_are_told_from_no_packets():
         assert said(source).startswith("Packets arrive from 127.0.0.1, but no face in them.")
 
 
+def test_a_few_packets_without_a_face_are_told_from_no_packets_as_well():
+    port, now = free_port(), [0.0]
+    bones = osc.encode_message("/VMC/Ext/Bone/Pos", "Hips", *[0.0] * 6, 1.0)
+    source = StreamSource(StreamSettings("vmc", port=port), clock=lambda: now[0])
+    with closing(source), closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as sender:
+        end = time.monotonic() + PATIENCE
+        while not source.counts.accepted:
+            assert time.monotonic() < end
+            sender.sendto(bones, ("127.0.0.1", port))
+            time.sleep(0.02)
+            source.read(0.0)
+        assert source.problem.startswith("Packets arrive from 127.0.0.1, but no face in them.")
+
+
 def test_packets_that_are_not_the_phones_are_told_with_both_addresses():
     port = free_port()
     source = StreamSource(StreamSettings("ifacialmocap", port=port, phone="127.0.0.9"))

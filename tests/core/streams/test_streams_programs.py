@@ -215,6 +215,17 @@ def test_invalid_messages_of_vmc_are_refused(message):
         VmcDecoder().decode(message)
 
 
+def test_a_frame_of_vmc_ends_when_a_value_comes_again_if_none_is_ever_applied():
+    decoder, frames = VmcDecoder(), []
+    for step in range(4):
+        for name in ("jawOpen", "mouthClose"):
+            frames += decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", name, 0.25 * step))
+    assert [value_of(frame.face, "jawOpen") for frame in frames] == [0.0, 0.25, 0.5]
+    assert len(decoder.decode(osc.encode_message("/VMC/Ext/Blend/Apply"))) == 1
+    assert decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", "jawOpen", 0.1)) == []
+    assert decoder.decode(osc.encode_message("/VMC/Ext/Blend/Val", "jawOpen", 0.2)) == []
+
+
 def test_vmc_remembers_a_limited_number_of_names():
     decoder = VmcDecoder()
     with pytest.raises(PacketError):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from facemime.core.face.names import COEFFICIENT_INDEX
+from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENTS
 from facemime.core.streams.protocols import osc
 from facemime.core.streams.protocols.frames import PacketError
 from facemime.core.streams.protocols.vrcfacetracking import VrcFaceTrackingDecoder
@@ -120,6 +120,45 @@ def test_there_is_no_face_while_nothing_is_tracked():
     off = {"/avatar/parameters/EyeTrackingActive": False, "/avatar/parameters/LipTrackingActive": False}
     assert decoder.decode(bundle(off | {"JawOpen": 0.5}))[0].face is None
     assert decoder.decode(bundle({"/avatar/parameters/FT/LipTrackingActive": True}))[0].face is not None
+
+
+def test_values_that_change_are_a_face_even_if_the_sender_states_that_nothing_is_tracked():
+    decoder, frames = VrcFaceTrackingDecoder(), []
+    for name in ("EyeTrackingActive", "LipTrackingActive"):
+        decoder.decode(osc.encode_message(f"/avatar/parameters/{name}", False))
+    for step in range(20):
+        frames += decoder.decode(bundle({"JawOpen": 0.05 * step}))
+    assert [frame.face is not None for frame in frames] == [False] * 5 + [True] * 15
+    still = [decoder.decode(bundle({"JawOpen": 0.95}))[0].face for _ in range(3)]
+    assert all(face is not None for face in still)
+    decoder.decode(osc.encode_message("/avatar/parameters/LipTrackingActive", False))
+    assert decoder.decode(bundle({"JawOpen": 0.0}))[0].face is None
+
+
+@pytest.mark.parametrize(
+    ("sent", "wanted"),
+    [
+        ({"LeftEyeLid": 0.25, "RightEyeLid": 1.0}, {"eyeBlinkLeft": 0.75}),
+        ({"LeftEyeLidExpanded": 0.4, "RightEyeLidExpanded": 0.8}, {"eyeBlinkLeft": 0.5}),
+        ({"CombinedEyeLidExpandedSqueeze": 0.9}, {"eyeWideLeft": 0.5, "eyeWideRight": 0.5}),
+        (
+            {"LeftEyeLidExpandedSqueeze": -0.5, "RightEyeLidExpandedSqueeze": 0.8},
+            {"eyeBlinkLeft": 1.0, "eyeSquintLeft": 0.5},
+        ),
+        ({"MouthPout": 0.5, "MouthApeShape": 0.25}, {"mouthPucker": 0.5, "mouthClose": 0.25}),
+        ({"SmileSadLeft": 0.5, "SmileSadRight": -0.5}, {"mouthSmileLeft": 0.5, "mouthFrownRight": 0.5}),
+        ({"JawOpen": 0.5, "PuffSuckLeft": 0.5, "PuffSuckRight": 0.5}, {"jawOpen": 0.5, "cheekPuff": 0.5}),
+    ],
+)
+def test_parameters_of_version_4_of_the_program_are_read(sent, wanted):
+    face = face_of(sent, "/avatar/parameters/")
+    shown = {name: value for name, value in zip(COEFFICIENTS, face.coefficients, strict=True) if value > 1e-6}
+    assert shown == {name: pytest.approx(value) for name, value in wanted.items()}
+
+
+def test_eyes_of_version_4_look_right_and_up_where_the_parameters_are_positive():
+    face = face_of({"LeftEyeX": 0.25, "RightEyeX": 0.25, "EyesY": 0.125}, "/avatar/parameters/")
+    np.testing.assert_allclose(face.eyes, face_of({"EyeX": 0.25, "EyeY": 0.125}).eyes)
 
 
 def test_other_parameters_of_an_avatar_are_left_out():
