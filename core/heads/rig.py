@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ..errors import HeadError, messages
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, JAW, LIPS, N_LANDMARKS, outer_eye_distance
 from ..face.rotation import fit_rotation
-from ..mesh.surface import SurfaceGraph, border_twins
+from ..mesh.surface import SurfaceGraph, border_twins, touching
 from ..numeric.arrays import FloatArray, IntArray
 from .built_in import Head, load_head
 from .style import Style
@@ -128,7 +128,11 @@ def _size(points: FloatArray) -> float:
 
 
 def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArray[np.intp]:
-    """Find the vertices of closed borders along the lids or the lips, where skin was cut apart without a gap."""
+    """Find the vertices of borders along the lids or the lips where skin was cut apart without a gap.
+
+    There a border touches itself. At a seam of the texture it touches that of another piece, such as the inside of the
+    mouth.
+    """
     graph = SurfaceGraph(vertices, faces)
     points = graph.vertices[landmarks]
     reach = _SLIT_REACH * outer_eye_distance(points)
@@ -140,7 +144,7 @@ def _slits(vertices: FloatArray, faces: IntArray, landmarks: IntArray) -> NDArra
             places = graph.vertices[borders[i]]
             away = np.linalg.norm(places[:, None] - points[organ], axis=2).min(axis=1)
             if _size(places) > _SLIT_LENGTH * _size(points[organ]) and away.max() < reach:
-                found.append(borders[i])
+                found.append(touching(graph.vertices, borders[i]))
     return np.concatenate(found)
 
 

@@ -21,6 +21,7 @@ from ..mesh.surface import SurfaceGraph
 from ..numeric.arrays import FloatArray, IntArray
 from .part_names import named_part, names_inside, names_upper
 from .rig import Part
+from .tongues import fills_arch
 
 _NEAR_EYE = 0.6
 """Largest distance of the middle of an eye's piece from the middle of the eye, seen from the front, in eye widths."""
@@ -30,6 +31,8 @@ _BEYOND = 0.08
 """Outer-eye distances by which gums of both rows reach above and below where the rows meet; teeth overlap by less."""
 _TALLEST = 0.7
 """Largest height of teeth and gums of both rows together, in outer-eye distances; that of ICT-FaceKit is 0.54."""
+_HIGHER = 0.03
+"""Outer-eye distances by which the middle of a piece in the mouth is higher than that of another row."""
 _MOUTH = (0.75, 0.45)
 """Half widths of the mouth, and outer-eye distances above and below it, within which pieces are teeth."""
 _END = 0.1
@@ -115,20 +118,29 @@ def lower_row(vertices: FloatArray, faces: IntArray, points: FloatArray) -> NDAr
 
 
 def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: FloatArray, unit: float) -> None:
-    """Separate rows of teeth whose names do not, by the largest gap between the heights of their middles."""
-    unsure = [
-        i
-        for i, (piece, part) in enumerate(zip(pieces, parts, strict=True))
-        if part == Part.TEETH_UPPER and not names_upper(piece.names)
-    ]
+    """Separate rows of teeth whose names do not, by the largest gap between the heights of their middles.
+
+    A tongue without a name, which lies between them, moves with the lower ones.
+    """
+    upper = [i for i, part in enumerate(parts) if part == Part.TEETH_UPPER]
+    if not upper:
+        return
+    middles = {i: float(y.min() + y.max()) / 2.0 for i, y in ((i, pieces[i].vertices[:, 1]) for i in upper)}
+    highest = min(middles.values())
+    unsure = [i for i in upper if not names_upper(pieces[i].names)]
+    for i in list(unsure):
+        below = middles[i] > highest + _HIGHER * unit and pieces[i].vertices[:, 1].min() > highest
+        if below and fills_arch(pieces[i].vertices, unit):
+            parts[i] = Part.TEETH_LOWER
+            unsure.remove(i)
     if not unsure:
         return
-    heights = np.array([float((p.min() + p.max()) / 2.0) for p in (pieces[i].vertices[:, 1] for i in unsure)])
+    heights = np.array([middles[i] for i in unsure])
     slit = float(np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)[1])
     order = np.sort(heights)
     gaps = np.diff(order)
     border = slit
-    if len(gaps) and gaps.max() > 0.03 * unit:
+    if len(gaps) and gaps.max() > _HIGHER * unit:
         at = int(np.argmax(gaps))
         border = float(order[at] + order[at + 1]) / 2.0
     for i, height in zip(unsure, heights, strict=True):

@@ -48,14 +48,22 @@ def tongue_of(rig: HeadRig) -> NDArray[np.bool_]:
     piece = islands(len(vertices), rig.all_faces)
     for number in np.unique(piece[rig.kinds == Part.TEETH_LOWER]):
         rows = (piece == number) & (rig.kinds == Part.TEETH_LOWER)
-        x, _, z = vertices[rows].T
-        width = np.ptp(x)
-        rear = x[z > 0.5 * (z.min() + z.max())]
-        if np.ptp(z) < _LENGTH * unit or width < _WIDTH * unit or not len(rear):
-            continue
-        if (np.abs(rear - 0.5 * (x.min() + x.max())) < 0.5 * _MIDDLE * width).mean() > _FILLED:
+        if fills_arch(vertices[rows], unit):
             found |= rows
     return found
+
+
+def fills_arch(vertices: FloatArray, unit: float) -> bool:
+    """Return whether vertices (N, 3) in a mouth, head frame, fill an arch as a tongue does, unlike teeth and gums.
+
+    `unit` is the outer-eye distance. A palate fills its arch, too.
+    """
+    x, _, z = np.asarray(vertices, dtype=np.float64).T
+    width = float(np.ptp(x))
+    rear = x[z > 0.5 * (z.min() + z.max())]
+    if np.ptp(z) < _LENGTH * unit or width < _WIDTH * unit or not len(rear):
+        return False
+    return bool((np.abs(rear - 0.5 * (x.min() + x.max())) < 0.5 * _MIDDLE * width).mean() > _FILLED)
 
 
 def tongue_out(rig: HeadRig, tongue: NDArray[np.bool_]) -> FloatArray:

@@ -52,11 +52,22 @@ def border_twins(vertices: FloatArray, faces: IntArray, apart: IntArray | None =
     border = np.setdiff1d(graph.edges[graph.faces_at == 1], [] if apart is None else apart)
     first = np.arange(len(graph.vertices))
     if len(border):
-        extent = max(float(np.ptp(graph.vertices, axis=0).max()), 1e-30)
-        places = np.round(graph.vertices[border] / (_SAME_PLACE * extent)).astype(np.int64)
-        _, leader, group = np.unique(places, axis=0, return_index=True, return_inverse=True)
-        first[border] = border[leader[group.reshape(-1)]]
+        first[border] = border[_coincident(graph.vertices, border)]
     return first
+
+
+def touching(vertices: FloatArray, border: IntArray) -> IntArray:
+    """Return those vertices of a border (N,) that coincide with another one of it, as where lips were cut apart."""
+    leader = _coincident(np.asarray(vertices, dtype=np.float64), border)
+    return np.asarray(border[np.bincount(leader, minlength=len(border))[leader] > 1])
+
+
+def _coincident(vertices: FloatArray, chosen: IntArray) -> NDArray[np.intp]:
+    """Number, among some vertices (N,), of the first one at the place of each, (N,)."""
+    extent = max(float(np.ptp(vertices, axis=0).max()), 1e-30)
+    places = np.round(vertices[chosen] / (_SAME_PLACE * extent)).astype(np.int64)
+    _, leader, group = np.unique(places, axis=0, return_index=True, return_inverse=True)
+    return np.asarray(leader[group.reshape(-1)], dtype=np.intp)
 
 
 def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArray[np.intp]:

@@ -77,7 +77,8 @@ def test_a_seam_of_the_texture_is_closed_and_the_skin_moves_as_without_it():
         assert np.abs(off).max() < 1e-4 * unit
 
 
-def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
+def slit_face() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """A flat face with lips that were cut apart: vertices, faces, landmarks, and the vertices (2, N) of either lip."""
     head = load_head()
     points = head.vertices[head.landmarks][:, :2] / built_in_head().eye_distance
     across, down = np.arange(-1.0, 1.0, 0.02), np.arange(-0.6, 1.6, 0.02)
@@ -92,9 +93,33 @@ def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
     copies[slit] = len(grid) + np.arange(len(slit))
     below = grid[faces, 1].mean(axis=1) > grid[slit[0], 1]
     cut = np.where(below[:, None], copies[faces], faces)
-    vertices = np.concatenate([grid, grid[slit]])
-    assert len(skin_of(vertices, cut).kept) == len(grid)
-    assert len(skin_of(vertices, cut, None, landmarks).kept) == len(vertices)
+    return np.concatenate([grid, grid[slit]]), cut, landmarks, np.stack([slit, copies[slit]])
+
+
+def test_lips_that_were_cut_apart_without_a_gap_stay_apart():
+    vertices, faces, landmarks, lips = slit_face()
+    assert len(skin_of(vertices, faces).kept) == len(vertices) - lips.shape[1]
+    assert len(skin_of(vertices, faces, None, landmarks).kept) == len(vertices)
+
+
+def test_the_inside_of_a_mouth_is_joined_to_the_lips_across_a_seam_of_the_texture():
+    vertices, faces, landmarks, lips = slit_face()
+    vertices[lips[1], 1] += 1e-3  # lips that nearly touch
+    inside = len(vertices) + np.arange(lips.size).reshape(lips.shape)
+    wall = np.stack([inside[0, :-1], inside[0, 1:], inside[1, 1:], inside[1, :-1]], axis=-1)
+    vertices = np.concatenate([vertices, vertices[lips.ravel()]])
+    skin = skin_of(vertices, np.concatenate([faces, wall]), None, landmarks)
+    np.testing.assert_array_equal(skin.number[inside], skin.number[lips])
+    assert (skin.number[lips[0]] != skin.number[lips[1]]).all()
+
+
+def test_a_tongue_without_a_name_between_the_teeth_moves_with_the_lower_ones():
+    head, points = load_head(), built_in_head().vertices[built_in_head().landmarks]
+    found = {part.name: part.vertices for part in head.parts if part.name in ("teeth_upper", "teeth_lower", "tongue")}
+    unit = outer_eye_distance(points)
+    for raised in np.linspace(0.0, 0.06, 7) * unit:  # as high as the upper teeth are far
+        pieces = [Piece(found[name] - (0.0, raised * (name == "tongue"), 0.0), ("mouth",)) for name in sorted(found)]
+        assert sort_pieces(pieces, points) == [Part.TEETH_LOWER, Part.TEETH_UPPER, Part.TEETH_LOWER]
 
 
 def test_layers_that_touch_inside_a_mesh_are_not_joined():
