@@ -154,7 +154,9 @@ def _moving(place: FloatArray, points: FloatArray) -> FloatArray:
     side = _step(z, ears[:, 2].mean() + 0.3, ears[:, 2].mean() - 0.15)
     scalp = _step(y, brow - 0.70, brow - 0.30)
     throat = _step(y + 0.25 * (z - chin[2]), chin[1] + 0.80, chin[1] + 0.20)
-    within = np.abs(x - ears[:, 0].mean()) < np.abs(np.diff(ears[:, 0])) / 2.0 + 0.045
+    # Soft, as heads without a neck go on beyond their ears.
+    beyond = np.abs(x - ears[:, 0].mean()) - np.abs(np.diff(ears[:, 0])) / 2.0
+    within = _step(beyond, 0.12, -0.03)
     return np.asarray(side * scalp * throat * within)
 
 

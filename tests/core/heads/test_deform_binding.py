@@ -273,3 +273,23 @@ def test_the_base_mesh_of_makehuman_is_bound_on_its_body_and_not_on_its_helpers(
     body = faces[(faces < BODY).all(axis=1)]
     bare, binding = bind_landmarks(places[:BODY], body), bind_landmarks(places, faces)
     assert np.array_equal(binding.landmarks, bare.landmarks)
+
+
+def test_a_head_that_goes_on_beyond_its_ears_does_not_tear_there():
+    rig = built_in_head()
+    points = rig.vertices[rig.landmarks] / rig.eye_distance
+    centre = points.mean(axis=0) + (0.0, 0.0, 0.6)
+    turn, tilt = np.meshgrid(np.linspace(-np.pi, np.pi, 480, endpoint=False), np.linspace(0.02, np.pi - 0.02, 300))
+    round_ = np.stack([np.sin(turn) * np.sin(tilt), -np.cos(tilt), -np.cos(turn) * np.sin(tilt)], axis=-1)
+    places = centre + (1.6, 1.6, 1.1) * round_.reshape(-1, 3)  # half as wide again as the face
+    number = np.arange(len(places)).reshape(turn.shape)
+    following = np.roll(number, -1, axis=1)
+    faces = np.stack([number[:-1], following[:-1], following[1:], number[1:]], axis=-1).reshape(-1, 4)
+    landmarks = np.array(
+        [np.linalg.norm(places[:, :2] - p[:2] + 9.0 * (places[:, 2:] > centre[2]), axis=1).argmin() for p in points]
+    )
+    moving = propose_regions(places, faces, landmarks).sum(axis=0)
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]]])
+    steep = np.abs(np.diff(moving[edges], axis=1)[:, 0]) / np.linalg.norm(np.diff(places[edges], axis=1)[:, 0], axis=1)
+    assert moving.max() > 0.99 and moving.min() == 0.0
+    assert steep.max() < 20.0  # from 1 to 0 within a twentieth of the eye distance
