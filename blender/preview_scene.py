@@ -71,7 +71,7 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     landmarks, head = read_places(obj), load_head()
     face = points[landmarks]
     known = to_blender(head.vertices[head.landmarks]).astype(np.float64)
-    axes = fit_rotation(known - known.mean(axis=0), face - face.mean(axis=0))
+    axes = _axes_of(face - face.mean(axis=0), known - known.mean(axis=0))
     unit = outer_eye_distance(face)
     hair = [child for child in obj.children if child.get(PART_PROPERTY) == "hair" and child.type == "MESH"]
     points = np.concatenate([points, *(face_points(part) for part in {*hair, *objects_of(obj)})])
@@ -81,6 +81,13 @@ def face_view(obj: bpy.types.Object) -> FaceView:
     neck = (away[:, 2] > own[:, 2].min() - _NECK * unit) & (np.abs(away[:, 0]) < np.abs(own[:, 0]).max())
     of_head = (np.linalg.norm(away, axis=1) < _HEAD_REACH * unit) & (above | neck)
     return FaceView(points[of_head], axes)
+
+
+def _axes_of(face: FloatArray, known: FloatArray) -> FloatArray:
+    """Axes (3, 3) of a face's centred landmarks (66, 3), which are those of a known face, or mirrored by a scale."""
+    both = [known, known * (-1.0, 1.0, 1.0)]
+    turned = [(fit_rotation(one, face), one) for one in both]
+    return min(turned, key=lambda pair: -float((face * (pair[1] @ pair[0].T)).sum()))[0]
 
 
 def setup_preview(

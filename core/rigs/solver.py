@@ -54,9 +54,9 @@ class RigSolver:
         self._rows = self._features(rig_map.effects)
         gram = multiply(self._rows, self._rows.T)
         count = max(len(gram), 1)
-        size = float(np.trace(gram)) / count
+        size = float(np.trace(gram)) / count or 1.0
         breadth = np.sqrt(np.square(rig_map.effects).sum(axis=(1, 2)))
-        usual = float(np.median(breadth)) if len(breadth) else 1.0
+        usual = float(np.median(breadth[breadth > 0.0])) if breadth.any() else 1.0
         prior = np.square(usual / np.maximum(breadth, _NARROW * usual))
         prior = prior * (1.0 + _DOUBT * np.square(rig_map.doubt))
         self._steady = _STEADY * size

@@ -150,6 +150,12 @@ def test_the_picture_of_a_head_does_not_depend_on(change, plain, tmp_path):
     assert list(bpy.data.scenes) == scenes
 
 
+def test_a_mirrored_head_is_pictured_from_the_front(plain):
+    add_head(bpy.context).scale.x = -1.0
+    mirrored = picture()[:, ::-1]
+    assert np.abs(mirrored - plain).mean() < 0.2 * np.abs(mirrored - plain.mean(axis=(0, 1))).mean()
+
+
 def test_landmarks_are_drawn_on_the_face_whatever_the_pixels_aspect():
     head, scene = add_head(bpy.context), bpy.context.scene
     wanted = draw_landmarks(scene, head, 96)

@@ -1,5 +1,7 @@
 """Maps of rigs and their solutions, on known linear rigs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -93,6 +95,14 @@ def test_no_value_exceeds_its_bounds_and_no_control_goes_both_ways(seed, size):
     assert not ((x > 0.0) & (x[found.opposite] > 0.0))[two].any()
     changes = found.values(x)
     assert (changes >= -0.1 - 1e-9).all() and (changes <= 0.2 + 1e-9).all()
+
+
+def test_controls_that_move_nothing_do_not_keep_others_from_being_solved_for():
+    found = mapped(*(bone(str(number), number) for number in range(4)))
+    still = replace(found, effects=found.effects * np.array([1.0, 0.0, 0.0, 0.0])[:, None, None])
+    solved = RigSolver(still).variables(0.5 * still.effects[0])
+    np.testing.assert_allclose(solved, [0.5, 0.0, 0.0, 0.0], atol=0.05)
+    assert not RigSolver(replace(found, effects=0.0 * found.effects)).variables(found.effects[0]).any()
 
 
 def test_corrections_reach_what_the_linear_map_misses():
