@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from ..core.face.landmarks import outer_eye_distance
 from ..core.face.rotation import fit_rotation
 from ..core.heads.built_in import load_head
+from ..core.numeric.arrays import FloatArray
 from .characters import objects_of
 from .contexts import evaluated_depsgraph
 from .frames import to_blender

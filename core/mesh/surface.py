@@ -56,10 +56,10 @@ def border_twins(vertices: FloatArray, faces: IntArray, apart: IntArray | None =
     return first
 
 
-def touching(vertices: FloatArray, border: IntArray) -> IntArray:
+def touching(vertices: FloatArray, border: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return those vertices of a border (N,) that coincide with another one of it, as where lips were cut apart."""
     leader = _coincident(np.asarray(vertices, dtype=np.float64), border)
-    return np.asarray(border[np.bincount(leader, minlength=len(border))[leader] > 1])
+    return np.asarray(border[np.bincount(leader, minlength=len(border))[leader] > 1], dtype=np.intp)
 
 
 def _coincident(vertices: FloatArray, chosen: IntArray) -> NDArray[np.intp]:
