@@ -144,7 +144,11 @@ def add_commands(commands: Commands) -> None:
         "--model", type=Path, metavar="FILE", help="the model of parameters: FLAME's .pkl or .npz, or GNM's .npz"
     )
     read.add_argument(
-        "--fps", type=number, metavar="FPS", help=f"rate of meshes and parameters (that of the file, or {FPS:g})"
+        "--fps",
+        type=number,
+        metavar="FPS",
+        help="rate of meshes and parameters, and of tables without times or whose timecodes count frames (that of the "
+        f"file, or {FPS:g})",
     )
     read.add_argument(
         "--mark",
@@ -259,11 +263,13 @@ def _export_coefficients(take: Take, output: Path, columns: str, rate: float) ->
 
 def _run_import(given: Options) -> int:
     """Run `facemime import`: write a recording, or the motion of a face in an animation, as a take."""
-    source, clip = given["source"], given["clip"]
+    source, clip, fps = given["source"], given["clip"], given["fps"]
     is_moving = is_moving_face(source.path)
     is_recording = source.path.suffix.lower() in RECORDINGS and not is_moving
     if (is_recording or is_moving) and clip:
         raise FacemimeError("A recording has no clips. Leave out --clip.")
+    if not (is_recording or is_moving) and fps is not None:
+        raise FacemimeError("An animation has times of its own. Leave out --fps.")
     described = "the animation that is imported" if not is_recording else "the recording that is imported"
     inputs = {"the model": given["model"]} | ({} if os.path.isdir(source.path) else {described: source.path})
     with outputs_of(((given["output"], {SUFFIX}),), inputs):
@@ -271,10 +277,10 @@ def _run_import(given: Options) -> int:
             marks = {point: place for point, place in given["mark"] if isinstance(place, int)}
             if len(marks) < len(given["mark"]):
                 raise FacemimeError("Points of numbered meshes and models are vertices. Use --mark POINT=VERTEX.")
-            take = read_moving_face(source.path, given["fps"], given["model"], marks)
+            take = read_moving_face(source.path, fps, given["model"], marks)
         else:
             check_readable(source.path)
-            take = read_recording(source.path, given["angles"]) if is_recording else _sampled(source, clip)
+            take = read_recording(source.path, given["angles"], fps) if is_recording else _sampled(source, clip)
         save_take(take, given["output"])
     for note in take.info.get("notes", []):
         tell(f"facemime: {note}")

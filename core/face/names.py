@@ -109,6 +109,11 @@ def column_of(name: str) -> int | None:
     return _read(name)[0]
 
 
+def half_of(name: str) -> str:
+    """Return which half of a coefficient without sides a name states, "Left" or "Right"; "" for any other name."""
+    return _read(name)[1]
+
+
 def combined(values: Iterable[tuple[str, float]]) -> dict[int, float]:
     """Return the values of coefficients by their columns, for values by name, of which others are left out.
 

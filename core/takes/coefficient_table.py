@@ -6,8 +6,10 @@ Columns are found by name, as at least three orders are in use.
 from __future__ import annotations
 
 import csv
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from dataclasses import dataclass, replace
+from functools import partial
 from math import floor
 from pathlib import Path
 
@@ -23,18 +25,27 @@ from ..numeric.arrays import FloatArray
 from .curves import coefficient_take
 from .spreadsheet import from_csv
 from .table_angles import AUTOMATIC, EYES, HEAD, angle_of, eye_angles, head_angles, poses_of, unit_of_angles
-from .table_text import TextTable, read_table
-from .table_times import is_title_of_time, times_of_rows
+from .table_faces import columns_of_one_node, rows_of_one_face
+from .table_text import TextTable, parse_rows, read_table
+from .table_times import is_title_of_time, times_of_rows, unused_rate
 from .take import Take
 
 _MIN_NAMES = 10
 """Smallest number of known coefficients in a table of coefficients."""
-_MAX_ROWS = 1_000_000
 _MAX_NUMBER = 1e15
 _MISSING = {"", "nan", "na", "n/a", "#n/a", "null", "none", "-"}
 """Cells without a number, as other programs write them, in lower case."""
 _MOST = 5.0
-"""A coefficient above this is a percentage: exaggerated ones reach 2."""
+"""A coefficient above this is a percentage, or an outlier: exaggerated ones reach 2."""
+_FEW_HIGH = 0.1
+"""Largest share of rows with such a coefficient for which these may be outliers; more than half in a recording of
+percentages."""
+_EXAGGERATED = 2.0
+"""Largest coefficient of most other rows above which these are percentages, too: small ones."""
+_AT_REST = 0.05
+"""Largest coefficient of most other rows below which nothing but the percentages moves."""
+_USUAL = 0.9
+"""Share of the other rows that these two are about."""
 _DECIMALS = 12
 """Decimals of a number, with which a float32 of a coefficient above 0.0001 is the same again."""
 _FEW = 0.02
@@ -55,9 +66,13 @@ LIVE_LINK_ORDER: tuple[str, ...] = (
 """The order of coefficients in Live Link Face's tables, which differs from that in its packets."""
 
 
-def from_any_csv(path: Path, angles: str = AUTOMATIC) -> Take:
+def from_any_csv(path: Path, angles: str = AUTOMATIC, fps: float | None = None) -> Take:
     """Read a table of either kind: of coefficients, or as written by `to_csv`; SourceError as for these."""
-    return from_coefficient_csv(path, angles) if has_coefficients(path) else from_csv(path)
+    if has_coefficients(path):
+        return from_coefficient_csv(path, angles, fps)
+    take = from_csv(path)
+    notes = [*take.info.get("notes", []), *unused_rate(fps)]
+    return replace(take, info=take.info | {"notes": notes}) if notes else take
 
 
 def has_coefficients(path: Path) -> bool:
@@ -72,22 +87,24 @@ def _is_known(title: str) -> bool:
     return column_of(title) is not None or is_title_of_time(title)
 
 
-def from_coefficient_csv(path: Path, angles: str = AUTOMATIC) -> Take:
+def from_coefficient_csv(path: Path, angles: str = AUTOMATIC, fps: float | None = None) -> Take:
     """Read a table with a row per frame and a column for each known coefficient.
 
     Times are those of the column `Timecode`, as in Live Link Face's tables, or of a column of seconds or parts of them;
-    or follow from numbers of frames, or from 1/30 s between rows. Rows whose time does not increase are left out if
-    they are few. `HeadYaw` to `HeadRoll` and `LeftEyeYaw` to `RightEyeRoll` are those of Live Link Face, in radians or
-    degrees; for "automatic", see `unit_of_angles`. Without those of the eyes, the gaze follows from the coefficients.
-    Other columns are ignored, and coefficients without a column are 0; a missing value is interpolated, and a row
-    without any is a frame without a face. What was decided is in ``info["notes"]``. A SourceError states why the file
-    cannot be read, or what is not a number.
+    or follow from numbers of frames, or from 1/30 s between rows. `fps` is the rate of frames, rows, and timecodes that
+    count frames. Rows whose time does not increase are left out if they are few. `HeadYaw` to `HeadRoll` and
+    `LeftEyeYaw` to `RightEyeRoll` are those of Live Link Face, in radians or degrees; for "automatic", see
+    `unit_of_angles`. Without those of the eyes, the gaze follows from the coefficients. Other columns are ignored, and
+    coefficients without a column are 0; missing values and lone outliers are interpolated, and a row without any is a
+    frame without a face. Of several faces, the one with most rows is read. Repeated titles and a last row that was cut
+    short are left out. What was decided is in ``info["notes"]``. A SourceError states why the file cannot be read, or
+    what is not a number.
     """
     path = Path(path)
     if not check_readable(path):
         raise SourceError("There is no table {path}. Check its name.", path=path)
     try:
-        return _take(read_table(path, _is_known), path.name, angles)
+        return take_of_table(read_table(path, _is_known), path.name, angles, fps)
     except (ValueError, OSError, csv.Error) as error:
         raise SourceError(
             "{path} cannot be read as a table of coefficients: {error}. Compare it with an exported one.",
@@ -141,18 +158,33 @@ def _columns(head: Sequence[str]) -> dict[int, int]:
     return {column: place for column, place in found.items() if place is not None}
 
 
-def _take(table: TextTable, name: str, angles: str) -> Take:
+def take_of_table(table: TextTable, name: str, angles: str, fps: float | None) -> Take:
+    """Return a table of coefficients as a take, as `from_coefficient_csv` does; ValueError if it cannot be."""
     columns = _columns(table.head)
     if len(columns) < _MIN_NAMES:
         raise DataError("only {columns} of its columns are coefficients", columns=len(columns))
-    if len(set(columns.values())) < len(columns):
-        raise DataError("two of its columns are the same coefficient")
-    rows = list(islice(table.lines, _MAX_ROWS + 1))
-    if len(rows) > _MAX_ROWS:
-        raise DataError("it has more than {max_rows:,} rows", max_rows=_MAX_ROWS)
-    if not rows:
-        raise DataError("it has no rows")
-    every, notes = times_of_rows(rows, table.head)
+    columns, of_nodes = columns_of_one_node(columns, table.head)
+    read, notes = parse_rows(table, partial(_read, table.head, columns, angles, fps))
+    notes += [*of_nodes, *read.notes]
+    return coefficient_take(name, read.times, read.values, read.turns, eyes=read.eyes, found=read.found, notes=notes)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """What the rows of a table have, as for `coefficient_take`."""
+
+    times: FloatArray
+    values: FloatArray
+    turns: Sequence[FloatArray]
+    eyes: Sequence[FloatArray | None]
+    found: NDArray[np.bool_]
+    notes: list[str]
+
+
+def _read(head: Sequence[str], columns: dict[int, int], angles: str, fps: float | None, rows: list[list[str]]) -> _Rows:
+    rows, notes = rows_of_one_face(rows, head)
+    every, assumed = times_of_rows(rows, head, fps)
+    notes += assumed
     kept = _increasing(every)
     times, rows = every[kept] - every[kept][0], [row for row, keep in zip(rows, kept, strict=True) if keep]
     if not kept.all():
@@ -160,18 +192,20 @@ def _take(table: TextTable, name: str, angles: str) -> Take:
         notes.append(
             Message("{count} of {total} rows repeat an earlier time and were left out.", count=count, total=total)
         )
-    values, found = _values(rows, table.head, columns, notes)
-    turns, eyes = zip(*_poses(rows, table.head, values, angles, notes), strict=True)
-    return coefficient_take(name, times, values, turns, eyes=eyes, found=found, notes=notes)
+    values, found = _values(rows, head, columns, notes)
+    turns, eyes = zip(*_poses(rows, head, values, angles, notes), strict=True)
+    return _Rows(times, values, turns, eyes, found, notes)
 
 
 def _values(
     rows: list[list[str]], head: Sequence[str], columns: dict[int, int], notes: list[str]
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
     """Return (N, 52) coefficients, and (N,) which rows have any; add what was decided to `notes`."""
-    values = np.zeros((len(rows), N_COEFFICIENTS))
+    values, halves = np.zeros((len(rows), N_COEFFICIENTS)), defaultdict(list)
     for column, place in columns.items():
-        values[:, place] = _numbers(rows, column, head[column])
+        halves[place].append(_numbers(rows, column, head[column]))
+    for place, of in halves.items():
+        values[:, place] = np.mean(of, axis=0)
     known = list(columns.values())
     found = np.isfinite(values[:, known]).any(axis=1)
     if not found.any():
@@ -185,11 +219,34 @@ def _values(
                 total=total,
             )
         )
-    values = np.column_stack([_between(column) for column in values.T])
-    if values.max() > _MOST:
+    if _are_percentages(np.nan_to_num(values[found])):
         values *= 0.01
         notes.append(Message("The coefficients were read as percentages."))
-    return values, found
+    wild = np.abs(values) > _MOST
+    if wild.any():
+        name = COEFFICIENTS[int(np.argwhere(wild)[0, 1])]
+        notes.append(
+            Message(
+                "Values beyond {most:g} were interpolated: {count}, the first one of {name}.",
+                count=int(wild.sum()),
+                most=_MOST,
+                name=name,
+            )
+        )
+    return np.column_stack([_between(column) for column in np.where(wild, np.nan, values).T]), found
+
+
+def _are_percentages(values: FloatArray) -> bool:
+    """Return whether coefficients (N, 52) reach 100: many are above 5, or some are, and the others do not suit 1.
+
+    If few rows have such a value, they may be outliers. In a table of percentages, the others then have small ones,
+    which are still above 2, or nothing at all.
+    """
+    largest = values.max(axis=1)
+    high = largest > _MOST
+    if high.mean() > _FEW_HIGH:
+        return True
+    return bool(high.any()) and not _AT_REST <= np.quantile(largest[~high], _USUAL) <= _EXAGGERATED
 
 
 def _between(values: FloatArray) -> FloatArray:

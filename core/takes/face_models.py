@@ -25,8 +25,6 @@ from .face_parameters import (
     IDENTITY,
     JAW,
     LEFT_EYE,
-    MAX_FPS,
-    MIN_FPS,
     NECK,
     POSE,
     RIGHT_EYE,
@@ -38,6 +36,7 @@ from .face_parameters import (
     VERTICES,
     Arrays,
     FaceParameters,
+    check_rate,
     check_shapes,
     read_arrays,
     read_parameters_file,
@@ -79,10 +78,7 @@ def read_moving_face(
 
     Without `fps` the rate is that which the file states, or `FPS`.
     """
-    if fps is not None and not MIN_FPS <= fps <= MAX_FPS:
-        raise SourceError(
-            "The rate cannot be {fps:g}. Use one between {low:g} and {high:g}.", fps=fps, low=MIN_FPS, high=MAX_FPS
-        )
+    check_rate(fps)
     if path.is_dir() and not numbered_files(path):
         path = next(iter(numbered_files(path, SUFFIXES).values()), path)
     if path.is_dir() or path.suffix.lower() not in SUFFIXES:

@@ -27,6 +27,15 @@ Arrays = Mapping[str, NDArray[Any]]
 _MAX_FILE = 1 << 30
 _MAX_FRAMES = 1_000_000
 
+
+def check_rate(fps: float | None) -> None:
+    """Raise SourceError for a rate outside `MIN_FPS` to `MAX_FPS`."""
+    if fps is not None and not MIN_FPS <= fps <= MAX_FPS:
+        raise SourceError(
+            "The rate cannot be {fps:g}. Use one between {low:g} and {high:g}.", fps=fps, low=MIN_FPS, high=MAX_FPS
+        )
+
+
 EXPRESSION, IDENTITY, TRANSLATION, SCALE, VERTICES = "expression", "identity", "translation", "scale", "vertices"
 ROOT, NECK, JAW, EYES, LEFT_EYE, RIGHT_EYE = "root", "neck", "jaw", "eyes", "left eye", "right eye"
 POSE, BODY, RATE = "pose", "body", "rate"

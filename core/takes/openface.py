@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from math import asin, atan2
 from pathlib import Path
 
@@ -22,12 +24,15 @@ from ..face.landmarks import (
 )
 from ..face.names import COEFFICIENT_INDEX, N_COEFFICIENTS
 from ..face.rotation import euler_to_matrix, matrix_to_euler
+from ..files.reading import shown
 from ..files.writing import replacing
 from ..heads.built_in import LOOKS, looks_of
 from ..numeric.arrays import FloatArray
 from .curves import CoefficientTrack
 from .neutral import Neutral
-from .table_text import TextTable, is_number
+from .table_faces import rows_of_one_face
+from .table_text import TextTable, is_number, parse_rows
+from .table_times import times_of_rows
 from .take import Take
 
 ACTION_UNITS: Mapping[str, tuple[tuple[str, float], ...]] = {
@@ -59,7 +64,6 @@ _SUCKED = ("mouthRollLower", "mouthRollUpper")
 _SUCKED_IN = 0.5
 """Mean of these from which it is present."""
 _IBUG68 = 68
-_MAX_FRAMES = 1_000_000
 _GAZE_VECTORS = tuple(f"gaze_{eye}_{axis}" for eye in (0, 1) for axis in "xyz")
 """Titles of the columns with the directions of the eyes: 0 is on the left of the image."""
 _INTENSITY = 5.0
@@ -86,33 +90,46 @@ _SEEN = {
 """Landmarks whose certainty is that of a unit; of other units, those of the lips."""
 
 
-def read_openface(table: TextTable) -> CoefficientTrack:
-    """Read a table of OpenFace: action units, the rotation of the head, and the gaze; ValueError if it is damaged."""
-    places = {title: place for place, title in enumerate(table.head)}
-    rows = []
-    for number, row in enumerate(table.lines, start=1):
-        if number > _MAX_FRAMES:
-            raise DataError("it has more than {max_frames:,} rows", max_frames=_MAX_FRAMES)
-        if len(row) < len(table.head) or not all(map(is_number, row[: len(table.head)])):
-            raise DataError("row {number} has a value that is not a number", number=number)
-        rows.append([float(cell) for cell in row[: len(table.head)]])
-    values = np.nan_to_num(np.array(rows, ndmin=2), posinf=0.0, neginf=0.0)
-    if not rows or "timestamp" not in places:
+def read_openface(table: TextTable, fps: float | None = None) -> CoefficientTrack:
+    """Read a table of OpenFace: action units, the rotation of the head, and the gaze; ValueError if it is damaged.
+
+    `fps` is the rate of a table of images, whose times are all 0.
+    """
+    track, notes = parse_rows(table, partial(_track, table.head, fps))
+    return replace(track, notes=[*notes, *track.notes])
+
+
+def _track(head: list[str], fps: float | None, rows: list[list[str]]) -> CoefficientTrack:
+    places = {title: place for place, title in enumerate(head)}
+    if "timestamp" not in places:
         raise DataError("it has no times of frames")
-    faces = values[:, places["face_id"]] if "face_id" in places else np.zeros(len(values))
-    values = values[faces == faces[0]]
+    for number, row in enumerate(rows, start=1):
+        wrong = next(
+            (title for place, title in enumerate(head) if not is_number("".join(row[place : place + 1]))), None
+        )
+        if wrong is not None:
+            raise DataError(
+                "row {number} has {text} for {name}, which is not a number",
+                number=number,
+                text=shown("".join(row[places[wrong] : places[wrong] + 1])),
+                name=wrong,
+            )
+    rows, notes = rows_of_one_face(rows, head)
+    times, assumed = times_of_rows(rows, head, fps)
+    cells = np.array([[float(cell) for cell in row[: len(head)]] for row in rows])
+    values = np.nan_to_num(cells, posinf=0.0, neginf=0.0)
     columns = {title: values[:, place] for title, place in places.items()}
     coefficients = np.zeros((len(values), N_COEFFICIENTS))
     for unit, shows in ACTION_UNITS.items():
         for source, gain in shows if f"{unit}_r" in columns else ():
             coefficients[:, _columns_of(source)] += gain * columns[f"{unit}_r"][:, None] / _INTENSITY
-    turns = np.array([_turn(*angles) for angles in np.column_stack([columns.get(n, 0 * faces) for n in _POSE])])
+    turns = np.array([_turn(*angles) for angles in np.column_stack([columns.get(n, 0.0 * times) for n in _POSE])])
     if set(_GAZE) <= set(columns):
         coefficients[:, LOOKS] = _looks(turns, columns[_GAZE[0]], columns[_GAZE[1]])
     rotations = np.array([matrix_to_euler(turn) for turn in turns])
     found = columns["success"] > 0.5 if "success" in columns else None
-    note = Message("OpenFace's action units do not tell left from right. They were used for both sides.")
-    return CoefficientTrack(columns["timestamp"], coefficients, rotations, found=found, notes=[note])
+    sides = Message("OpenFace's action units do not tell left from right. They were used for both sides.")
+    return CoefficientTrack(times, coefficients, rotations, found=found, notes=[*notes, *assumed, sides])
 
 
 def _turn(x: float, y: float, z: float) -> FloatArray:

@@ -7,24 +7,30 @@ from __future__ import annotations
 
 import csv
 import re
+from collections.abc import Mapping
+from dataclasses import replace
 from io import StringIO
 from itertools import islice
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..errors import DataError, Message, SourceError
 from ..face.rotation import from_face_axes
 from ..files.capture import check_readable
-from ..files.reading import as_list, as_number, as_object, as_text, parse_json, read_text
+from ..files.reading import as_list, as_number, as_text, parse_json, read_text
 from ..numeric.arrays import FloatArray
-from .coefficient_table import from_any_csv
+from .coefficient_table import from_any_csv, take_of_table
 from .curves import CoefficientTrack, coefficients_of_keys, recorded
+from .face_parameters import check_rate
 from .openface import TITLES, read_openface
 from .table_angles import AUTOMATIC
+from .table_json import table_of_json
 from .table_text import SUFFIXES as TABLES
 from .table_text import is_number, read_decoded, read_table
+from .table_times import unused_rate
 from .take import Take
 
 _RATE = 60.0
@@ -38,6 +44,8 @@ _HEADER = "%YAML"
 _MAX_CURVES = 1_000
 _MAX_VALUE = 1e6
 """Largest value of a curve in Audio2Face's file."""
+_AUDIO2FACE = {"facsNames", "weightMat"}
+"""What Audio2Face's file contains."""
 _AUDIO2FACE_RATE = 60.0
 """Frames per second of Audio2Face's file if it states none, as its importers assume."""
 _FIRST_LINES = 10
@@ -105,12 +113,14 @@ def _sampled(keys: FloatArray, times: FloatArray) -> FloatArray:
     return np.asarray(np.where(jumps, np.where(at < 1.0, begin[:, 1], end[:, 1]), curve))
 
 
-def read_audio2face(path: Path) -> CoefficientTrack:
-    """Read the JSON that Audio2Face exports; ValueError if it is anything else, OSError if it cannot be read."""
-    data = as_object(parse_json(read_text(path)), "the file")
+def read_audio2face(data: Mapping[str, Any], fps: float | None = None) -> CoefficientTrack:
+    """Read what the JSON that Audio2Face exports contains; ValueError if it is damaged.
+
+    Without `fps` the rate is that which the file states.
+    """
     names = [as_text(name, "a name") for name in as_list(data.get("facsNames"), "facsNames", _MAX_CURVES)]
     rows = as_list(data.get("weightMat"), "weightMat", _MAX_FRAMES)
-    fps = as_number(data.get("exportFps", _AUDIO2FACE_RATE), "exportFps", 1.0, 1000.0)
+    fps = fps or as_number(data.get("exportFps", _AUDIO2FACE_RATE), "exportFps", 1.0, 1000.0)
     if not names or not rows:
         raise DataError("it has no frames")
     values = np.empty((len(rows), len(names)))
@@ -139,45 +149,58 @@ def read_face_cap(text: str) -> CoefficientTrack:
     """Read a recording of Face Cap; ValueError if it is damaged."""
     names: list[str] = []
     frames: list[list[float]] = []
-    for number, row in enumerate(csv.reader(text.splitlines()), start=1):
+    notes: list[str] = []
+    rows = [row for row in csv.reader(text.splitlines()) if any(row)]
+    for number, row in enumerate(rows, start=1):
         if row and row[0].strip() == "bs":
             names = [name.strip() for name in row[1:] if name.strip()]
         elif row and row[0].strip() == "k":
             cells = [cell.strip() for cell in row[1 : _FIRST_CURVE + len(names)]]
             if len(cells) < _FIRST_CURVE - 1 + len(names) or not all(map(is_number, cells)):
+                if number == len(rows) and len(frames) > 1:
+                    notes.append(Message("The last row was cut short and was left out."))
+                    break
                 raise DataError("line {number} is not a frame of {names} values", number=number, names=len(names))
             frames.append([float(cell) for cell in cells])
     values = np.array(frames)
     if not len(values) or not np.isfinite(values).all() or np.abs(values).max() > 1e15:
         raise DataError("it has no frames" if not frames else "it has values that are not possible numbers")
-    coefficients, notes = coefficients_of_keys(dict(zip(names, values[:, _FIRST_CURVE - 1 :].T, strict=True)))
+    coefficients, recognised = coefficients_of_keys(dict(zip(names, values[:, _FIRST_CURVE - 1 :].T, strict=True)))
     turns = np.array([from_face_axes(*angles) for angles in (values[:, 4:7] * pi / 180.0).tolist()])
     moved = (values[:, 1:4] - values[0, 1:4]) * (1.0, -1.0, -1.0)
-    return CoefficientTrack(values[:, 0] / 1000.0, coefficients, turns, moved, notes=notes)
+    return CoefficientTrack(values[:, 0] / 1000.0, coefficients, turns, moved, notes=[*notes, *recognised])
 
 
 SUFFIXES = (*TABLES, ".json", ".anim")
 """Suffixes of what can be read."""
 _MIN_UNITS = 8
 """Titles of OpenFace's action units by which its tables are recognised: half of the 17."""
-_READERS = {".json": ("Audio2Face", read_audio2face), ".anim": ("Unity", read_unity_clip)}
 
 
-def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
+def read_recording(path: Path, angles: str = AUTOMATIC, fps: float | None = None) -> Take:
     """Read a recording of another program, or a table of numbers.
 
-    These are tables of coefficients and of takes, Audio2Face's JSON, Face Cap's text, OpenFace's table and Unity's
-    clips. `angles` is the unit in which a table of coefficients has the rotation of the head: "automatic", "radians" or
-    "degrees". What was assumed is in ``info["notes"]``. A SourceError states why the file cannot be read.
+    These are tables of coefficients and of takes, Audio2Face's and other JSON, Face Cap's text, OpenFace's table and
+    Unity's clips. `angles` is the unit in which a table of coefficients has the rotation of the head: "automatic",
+    "radians" or "degrees". `fps` is the rate of a file without times, or whose timecodes count frames. What was assumed
+    is in ``info["notes"]``. A SourceError states why the file cannot be read.
     """
     path = Path(path)
+    check_rate(fps)
     if not check_readable(path):
         raise SourceError("There is no file {path}. Check its name.", path=path)
-    program, reader = _READERS.get(path.suffix.lower(), ("", None))
+    suffix, program = path.suffix.lower(), ""
     try:
-        if reader is not None:
-            return recorded(reader(path), path.name)
-        if (found := _other_text(path)) is not None:
+        if suffix == ".json":
+            data = parse_json(read_text(path), nan=True)
+            if not (isinstance(data, dict) and _AUDIO2FACE & data.keys()):
+                return take_of_table(table_of_json(data), path.name, angles, fps)
+            program = "Audio2Face"
+            return recorded(read_audio2face(data, fps), path.name)
+        if suffix == ".anim":
+            program = "Unity"
+            return recorded(_with_own_times(read_unity_clip(path), fps), path.name)
+        if (found := _other_text(path, fps)) is not None:
             program, performance = found
             return recorded(performance, path.name)
     except (ValueError, OSError, csv.Error) as error:
@@ -187,12 +210,16 @@ def read_recording(path: Path, angles: str = AUTOMATIC) -> Take:
             program=program or Message("a program"),
             error=error,
         ) from error
-    return from_any_csv(path, angles)
+    return from_any_csv(path, angles, fps)
 
 
-def _other_text(path: Path) -> tuple[str, CoefficientTrack] | None:
+def _with_own_times(performance: CoefficientTrack, fps: float | None) -> CoefficientTrack:
+    return replace(performance, notes=[*performance.notes, *unused_rate(fps)])
+
+
+def _other_text(path: Path, fps: float | None) -> tuple[str, CoefficientTrack] | None:
     """Return what a text that is no table of coefficients shows, and the program that wrote it; None for a table."""
     if is_face_cap(text := read_decoded(path)):
-        return "Face Cap", read_face_cap(text)
+        return "Face Cap", _with_own_times(read_face_cap(text), fps)
     table = read_table(path, TITLES.__contains__)
-    return ("OpenFace", read_openface(table)) if len(TITLES & set(table.head)) >= _MIN_UNITS else None
+    return ("OpenFace", read_openface(table, fps)) if len(TITLES & set(table.head)) >= _MIN_UNITS else None

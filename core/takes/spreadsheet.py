@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from ..files.capture import check_readable
 from ..files.reading import shown
 from ..files.writing import replacing
 from .format import info_content, info_of
-from .table_text import TextTable, read_table
+from .table_text import TextTable, parse_rows, read_table
 from .take import DTYPES, Take, check_take
 from .timing import project
 
@@ -46,6 +48,7 @@ def _columns(modes: int) -> dict[str, list[str]]:
 
 
 _KNOWN = frozenset(name for names in _columns(0).values() for name in names)
+_NEEDED = frozenset(_columns(0)["pose"] + _columns(0)["shape"])
 
 
 def to_csv(take: Take, path: Path) -> None:
@@ -84,24 +87,23 @@ def from_csv(path: Path) -> Take:
             "There is no table {path}. Create one: facemime export TAKE -o {name}", path=path, name=path.name
         )
     try:
-        take = _read(read_table(path, _KNOWN.__contains__, _NOTE))
-        check_take(take)
+        table = read_table(path, _KNOWN.__contains__, _NOTE)
+        if _NEEDED.isdisjoint(table.head):
+            raise DataError("its columns are neither those of a take nor, at least ten, named as ARKit's coefficients")
+        take, notes = parse_rows(table, partial(_read, table))
     except (ValueError, OSError, csv.Error) as error:
         raise SourceError(
             "{path} cannot be read as a take: {error}. Compare it with an exported one.", path=path, error=error
         ) from error
-    return take
+    return replace(take, info=take.info | {"notes": notes}) if notes else take
 
 
-def _read(table: TextTable) -> Take:
+def _read(table: TextTable, cells: list[list[str]]) -> Take:
     info = info_of(table.note[len(_NOTE) :].encode())[0] if table.note else {}
     place = {name: column for column, name in enumerate(table.head) if name}
     columns = _columns(sum(name.startswith("mode_") for name in place))
     if missing := [n for key in ("times", "pose", "shape") for n in columns[key] if n not in place]:
         raise DataError("it has no column {column!r}", column=missing[0])
-    cells = list(table.lines)
-    if not cells:
-        raise DataError("it has no rows")
     arrays = {name: _values(cells, names, place) for name, names in columns.items()}
     complete = np.isfinite(np.concatenate([arrays["pose"], arrays["shape"]], axis=1)).all(axis=1)
     found = complete & (arrays["found"][:, 0] != 0.0 if "found" in place else True)
@@ -115,7 +117,9 @@ def _read(table: TextTable) -> Take:
     rows: dict[str, Any] = {
         name: array.astype(DTYPES.get(name, np.float32)) for name, array in (arrays | {"found": found}).items()
     }
-    return Take(**rows, info=info)
+    take = Take(**rows, info=info)
+    check_take(take)
+    return take
 
 
 def _values(cells: list[list[str]], names: list[str], place: dict[str, int]) -> np.ndarray[Any, np.dtype[np.float64]]:

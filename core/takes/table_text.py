@@ -10,12 +10,16 @@ import codecs
 import csv
 import re
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from io import StringIO
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
+from typing import TypeVar
 
-from ..errors import DataError
+from ..errors import DataError, Message
+
+_Parsed = TypeVar("_Parsed")
 
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -37,11 +41,14 @@ _DECIMAL_COMMA = re.compile(r"^\s*[-+]?\d*,\d+(?:[eE][-+]?\d+)?\s*$")
 _GROUPED = re.compile(r"^\s*[-+]?\d{1,3}(?:(?:,\d{3})+\.\d*|(?:,\d{3}){2,}|(?:\.\d{3})+,\d*)\s*$")
 """Number whose thousands are separated: 1,234.5 or 1.234,5."""
 _MAX_BYTES = 1 << 30
+_MAX_ROWS = 1_000_000
+_LEAST_ROWS = 4
+"""Rows from which a last one that cannot be read may be left out: a table of a few rows is refused instead."""
 
 
 @dataclass(frozen=True)
 class TextTable:
-    """A table: the titles of its columns, its lines, and the note above the titles, if there is one."""
+    """A table: the titles of its columns, its lines, also those that repeat them, and the note above, if any."""
 
     head: list[str]
     lines: Iterator[list[str]]
@@ -62,14 +69,45 @@ def read_table(path: Path, known: Callable[[str], bool], note: str = "") -> Text
     noted = [next(csv.reader([line])) for line in above[:number] if note and line.lstrip('"').startswith(note)]
     rows = csv.reader(chain(above[number + 1 :], text), delimiter=separator)
     head = [title.strip() for title in _split(above[number], separator)]
-    return TextTable(head, _lines(rows), noted[0][0] if noted else "")
+    return TextTable(head, _lines(rows, head), noted[0][0] if noted else "")
+
+
+def parse_rows(table: TextTable, parse: Callable[[list[list[str]]], _Parsed]) -> tuple[_Parsed, list[str]]:
+    """Return what `parse` makes of the rows of a table, and what was left out of them.
+
+    These are rows that repeat the titles, and a last one that was cut short, as by a power failure: it has fewer cells
+    than any other, or only the others can be parsed. Raises ValueError if there are no rows, or too many.
+    """
+    every = list(islice(table.lines, _MAX_ROWS + 1))
+    if len(every) > _MAX_ROWS:
+        raise DataError("it has more than {max_rows:,} rows", max_rows=_MAX_ROWS)
+    rows = [row for row in every if row[: len(table.head)] != table.head]
+    if not rows:
+        raise DataError("it has no rows")
+    notes: list[str] = []
+    if count := len(every) - len(rows):
+        notes.append(Message("Rows that repeat the titles were left out: {count}.", count=count))
+    cut = [*notes, Message("The last row was cut short and was left out.")]
+    if len(rows) > 1 and len(rows[-1]) < min(map(len, rows[:-1])):
+        return parse(rows[:-1]), cut
+    try:
+        return parse(rows), notes
+    except ValueError as error:
+        if len(rows) >= _LEAST_ROWS:
+            with suppress(ValueError):
+                return parse(rows[:-1]), cut
+        raise error
 
 
 def read_decoded(path: Path) -> str:
-    """Read a text in any usual encoding; ValueError if it is too large or not text, OSError if it cannot be read."""
+    """Read a text in any usual encoding; ValueError if it is too large or not text, OSError if it cannot be read.
+
+    Zeros at the end, which a power failure leaves, become a single one: its row cannot be read.
+    """
     if path.stat().st_size > _MAX_BYTES:
         raise DataError("it is larger than {max_bytes:,} MB", max_bytes=_MAX_BYTES >> 20)
-    return _decoded(path.read_bytes())
+    text = _decoded(path.read_bytes())
+    return text.rstrip("\0") + "\0" if text.endswith("\0") else text
 
 
 def _split(line: str, separator: str) -> list[str]:
@@ -86,24 +124,26 @@ def _decoded(data: bytes) -> str:
     """Decode a text: by its byte order mark, as UTF-8, as UTF-16 without a mark, or in Western Europe's code page."""
     for mark, encoding in _MARKS:
         if data.startswith(mark):
-            return data.decode(encoding)
+            width = int(encoding[4:]) // 8 if mark != codecs.BOM_UTF8 else 1
+            return data[: len(data) // width * width].decode(encoding)
     if data[1:2] == b"\0" or data[:1] == b"\0":
-        return data.decode("utf-16-le" if data[1:2] == b"\0" else "utf-16-be")
+        return data[: len(data) // 2 * 2].decode("utf-16-le" if data[1:2] == b"\0" else "utf-16-be")
     try:
         return data.decode("utf-8")
     except UnicodeDecodeError:
         return data.decode("cp1252")
 
 
-def _lines(rows: Iterator[list[str]]) -> Iterator[list[str]]:
-    """Yield rows with decimal points, without empty ones, comments and a row of units below the titles."""
+def _lines(rows: Iterator[list[str]], head: list[str]) -> Iterator[list[str]]:
+    """Yield rows with decimal points, without empty ones, comments and a row of units below titles."""
     above = True
     for row in rows:
         cells = [cell.strip() for cell in row]
-        if not any(cells) or cells[0].startswith(_COMMENT) or (above and _is_of_units(cells)):
+        repeats = cells[: len(head)] == head
+        if not any(cells) or cells[0].startswith(_COMMENT) or (above and not repeats and _is_of_units(cells)):
             continue
-        above = False
-        yield [_with_point(cell) for cell in cells]
+        above = repeats
+        yield cells if repeats else [_with_point(cell) for cell in cells]
 
 
 def _is_of_units(cells: list[str]) -> bool:

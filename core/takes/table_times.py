@@ -1,6 +1,4 @@
-"""Times of the rows of a table: which column has them, in which unit, and timecodes, also as people read them
-(takes.md).
-"""
+"""Times of the rows of a table: which column has them, in which unit, and times as people read them (takes.md)."""
 
 from __future__ import annotations
 
@@ -8,12 +6,12 @@ import re
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..errors import DataError, Message
 from ..files.reading import shown
 from ..numeric.arrays import FloatArray
 from .table_text import is_number
+from .table_timecodes import seconds_of_timecodes
 
 _RATE = 30.0
 """Rate in Hz of a table that states none."""
@@ -23,84 +21,14 @@ _SLOWEST = 1.0
 """Longest usual step between rows of a performance, seconds; a longer one shows a smaller unit."""
 _LATEST = 1e19
 """Largest time: nanoseconds since 1970 have 19 digits."""
-
-
-_PARTS = re.compile(r"[:;]")
-"""Separators; a semicolon before the frames marks drop-frame timecodes, which skip numbers rather than frames."""
-_RATES = (12.0, 15.0, 20.0, 24.0, 25.0, 30.0, 48.0, 50.0, 60.0, 72.0, 75.0, 90.0, 96.0, 100.0, 120.0, 144.0, 200.0)
-_APP_RATE = 60.0
-"""Rate of Live Link Face, assumed if no second of a table is complete."""
-_NEAR = 0.06
-"""Relative difference from a usual rate within which a measured one is that rate: dropped frames change it."""
-_DROPPED = {30.0: 2.0, 60.0: 4.0}
-"""Numbers that drop-frame timecodes skip at the start of each minute but every tenth, by rate."""
-_NTSC = 1000.0 / 1001.0
-"""Real rate of video with drop-frame timecodes, relative to that of their numbers."""
-_DATE = re.compile(r"^\d{4}-\d\d-\d\d[T ]|(?:Z| ?UTC|[-+]\d\d:?\d\d)$")
-"""Date and time zone of a time in the format of ISO 8601."""
-_DAY = 86_400.0
-
-
-def seconds_of_timecodes(texts: Sequence[str]) -> FloatArray:
-    """Convert timecodes to seconds, also past midnight.
-
-    These are hours, minutes, seconds and frames, the latter with decimals, as in 10:20:30:12.500; or hours, minutes and
-    seconds with decimals, also after a date; or minutes and seconds with decimals. The frame numbers show the rate
-    where they begin again: the last one before, the usual step and the first one after add up to it. Without such a
-    place the rate is that of the app, or the lowest usual one above all frame numbers. A semicolon before the frames,
-    or minutes that begin at frame 2 or 4, mark drop-frame timecodes, of 29.97 or 59.94 frames per second. Raises
-    ValueError if a text is not a timecode.
-    """
-    clocks = [_DATE.sub("", text.strip()) for text in texts]
-    try:
-        parts = np.array([[float(part) for part in _PARTS.split(clock)] for clock in clocks], dtype=np.float64)
-    except ValueError:
-        parts = np.empty(0)
-    if parts.ndim == 2 and parts.shape[1] == 2 and "." in clocks[0]:
-        parts = np.column_stack([np.zeros(len(parts)), parts])
-    if parts.ndim != 2 or parts.shape[1] not in (3, 4) or not ((parts >= 0.0) & (parts < 1000.0)).all():
-        raise DataError("{texts} is not a timecode such as 10:20:30:12.500", texts=shown(texts[0]))
-    times = parts[:, :3] @ np.array([3600.0, 60.0, 1.0])
-    days = _DAY * np.cumsum(np.diff(times, prepend=times[0]) < -_DAY / 2.0)
-    if parts.shape[1] == 3:
-        return np.asarray(times + days)
-    rate = _timecode_rate(times, parts[:, 3])
-    if rate in _DROPPED and (";" in clocks[0] or _skips_numbers(times, parts[:, 3], _DROPPED[rate])):
-        minutes = (times + days) // 60.0
-        dropped = _DROPPED[rate] * (minutes - minutes // 10.0)
-        return np.asarray(((times + days) * rate + parts[:, 3] - dropped) / (rate * _NTSC))
-    return np.asarray(times + days + parts[:, 3] / rate)
-
-
-def _timecode_rate(seconds: FloatArray, frames: FloatArray) -> float:
-    """Return the frames per second of timecodes, given their whole seconds and frames, both (N,)."""
-    highest = float(frames.max())
-    above = [rate for rate in _RATES if rate > highest]
-    same = np.diff(seconds) == 0.0
-    steps = np.diff(frames)
-    forward = steps[same & (steps > 0.0)]
-    step = float(np.median(forward)) if len(forward) else 1.0
-    found = _turnovers(seconds, steps, step)
-    if not len(found):
-        return max(above[0] if above else np.floor(highest) + 1.0, _APP_RATE)
-    measured = float(np.median(found))
-    near = min(_RATES, key=lambda rate: abs(rate - measured))
-    if abs(near - measured) <= _NEAR * near and near > highest:
-        return near
-    return max(float(round(measured)), float(np.floor(highest)) + 1.0)
-
-
-def _skips_numbers(seconds: FloatArray, frames: FloatArray, dropped: float) -> bool:
-    """Return whether minutes begin at that number, given whole seconds and frames of timecodes, both (N,)."""
-    begins = np.flatnonzero((np.diff(seconds) % _DAY == 1.0) & (seconds[1:] % 60.0 == 0.0)) + 1
-    minutes = begins[seconds[begins] % 600.0 != 0.0]
-    return bool(len(minutes)) and bool((np.floor(frames[minutes]) == dropped).all())
-
-
-def _turnovers(seconds: FloatArray, steps: FloatArray, step: float) -> NDArray[np.float64]:
-    """Return the rate at each place where the next second begins, (K,)."""
-    turned = (np.diff(seconds) % _DAY == 1.0) & (steps < 0.0)
-    return np.asarray(step - steps[turned])
+_JUMP = 60.0
+"""Seconds above which a step between rows may be a clock that was set: a longer pause is rare within a recording."""
+_JUMP_STEPS = 100.0
+"""Usual steps above which it may be one: the steps of a sparse table differ by less."""
+_RISING = 0.9
+"""Share of steps that have to be positive in a column that is only likely to have times."""
+_FASTEST = 1000.0
+"""Largest number of frames per second that a table may state."""
 
 
 def timecode(seconds: float) -> str:
@@ -110,39 +38,106 @@ def timecode(seconds: float) -> str:
     return f"{sign}{tenths // 600}:{tenths // 10 % 60:02d}.{tenths % 10}"
 
 
-_TIME = re.compile(
-    r"(?:time(?:stamp)?|stamp|elapsed(?:time)?|t)?(?:in)?"
-    r"(s|secs?|seconds?|ms|msecs?|millis|milliseconds?|us|usecs?|microseconds?|ns|nsecs?|nanoseconds?)?"
-)
+_UNIT = r"(?:in)?(s|secs?|seconds?|ms|msecs?|millis|milliseconds?|us|usecs?|microseconds?|ns|nsecs?|nanoseconds?)?"
+_FORMAT = r"(?:y*m*d*h{1,2}mm?s{1,2}[msf]*)?"
+"""Format of times in a title, as in Time (HH:MM:SS.mmm)."""
+_TIME = re.compile(rf"(?:time(?:stamp)?|stamp|elapsed(?:time)?|t)?{_UNIT}")
 """Titles of times, and their unit, as letters in lower case."""
-_TIMECODE = re.compile(r"(?:smpte)?(?:timecodes?|tc)|smpte")
-_FRAME = re.compile(r"frames?(?:number|no|nr|index|id|count)?")
+_WORDS = (
+    "(?:unix|epoch|posix|utc|gmt|local|system|host|device|world|wall|clock|date|day|of|video|audio|media|stream|clip|"
+    "take|camera|cam|image|frame|sample|capture|captured|recorded|recording|record|session|playback|play|game|sim|"
+    "simulation|scene|sequence|presentation|pts|elapsed|relative|absolute|current|since|from|start|begin|log|ros|app|"
+    "arkit|face|tracking|tracker|sensor|source|timeline|code)*"
+)
+"""Words around "time" in titles of other programs; not those of durations, such as exposure, delta or lifetime."""
+_LIKELY_TIME = re.compile(rf"{_WORDS}(?:time(?:stamp)?|stamp){_WORDS}{_FORMAT}{_UNIT}")
+_TIMECODE = re.compile(rf"{_WORDS}(?:ltc|smpte)?(?:timecodes?|tc){_WORDS}{_FORMAT}(?:at)?(?:fps|hz)?|smpte")
+_FRAME = re.compile(r"frames?(?:number|no|nr|index|id|count)?(?:at)?(?:fps|hz)?")
 _FRAME_RATE = re.compile(r"fps|framerate|framespersecond")
+_STATED = re.compile(r"(\d+(?:\.\d+)?) ?_?(?:fps|hz)", re.IGNORECASE)
+"""Rate within a title, as in Timecode (60 fps)."""
+_KNOWN = (_TIMECODE, _TIME)
 
 
 def is_title_of_time(title: str) -> bool:
     """Return whether a title is that of a column with times or numbers of frames."""
     letters = _letters(title)
-    return bool(letters) and any(pattern.fullmatch(letters) for pattern in (_TIME, _TIMECODE, _FRAME, _FRAME_RATE))
+    return bool(letters) and any(pattern.fullmatch(letters) for pattern in (*_KNOWN, _LIKELY_TIME, _FRAME, _FRAME_RATE))
 
 
-def times_of_rows(rows: Sequence[Sequence[str]], head: Sequence[str]) -> tuple[FloatArray, list[str]]:
-    """Read the seconds of rows (N,), and what was assumed; raises ValueError if a cell is not a time."""
-    for pattern in (_TIMECODE, _TIME):
-        if (place := _column(head, pattern)) is not None:
-            texts = [_cell(row, place) for row in rows]
-            if not is_number(texts[0]):
-                return seconds_of_timecodes(texts), []
-            return _seconds(_numbers(texts, head[place]), head[place])  # Audio2Face's timecodes are seconds
-    rate, notes = _rate(rows[0], head)
-    if (place := _column(head, _FRAME)) is not None:
-        return _numbers([_cell(row, place) for row in rows], head[place]) / rate, notes
-    return np.arange(len(rows)) / rate, notes
+def is_title_of_rate(title: str) -> bool:
+    """Return whether a title is that of frames per second."""
+    return bool(_FRAME_RATE.fullmatch(_letters(title)))
+
+
+def unused_rate(fps: float | None) -> list[str]:
+    """Return what to say about a rate that was given for a file with times of its own."""
+    if fps is None:
+        return []
+    return [Message("The file has times of its own, so the rate of {fps:g} frames per second was not used.", fps=fps)]
+
+
+def times_of_rows(
+    rows: Sequence[Sequence[str]], head: Sequence[str], fps: float | None = None
+) -> tuple[FloatArray, list[str]]:
+    """Read the seconds of rows (N,), and what was assumed; raises ValueError if a cell is not a time.
+
+    `fps` is the rate of rows without times, or with numbers of frames or timecodes.
+    """
+    times, notes = _times(rows, head, fps)
+    times, count, first = _without_jumps(times)
+    if count:
+        notes.append(
+            Message(
+                "Jumps in the times longer than the recording were closed: {count}, the first after row {first}.",
+                count=count,
+                first=first,
+            )
+        )
+    return times, notes
+
+
+def _times(rows: Sequence[Sequence[str]], head: Sequence[str], fps: float | None) -> tuple[FloatArray, list[str]]:
+    assumed = Message("The table has no times. Its rate was taken to be {rate:g} frames per second.", rate=_RATE)
+    known = _columns(head, _KNOWN)
+    for column in dict.fromkeys((*known, *_columns(head, (_LIKELY_TIME,)))):
+        texts = [_cell(row, column) for row in rows]
+        if len(texts) > 1 and len(set(texts)) == 1:
+            assumed = Message(
+                "All rows have the same time. The rate was taken to be {rate:g} frames per second.", rate=_RATE
+            )
+            continue
+        try:
+            times, counts, notes = _read(texts, rows[0], head, column, fps)
+        except DataError:
+            if column in known:
+                raise
+            continue
+        if column in known or len(times) == 1 or (np.diff(times) > 0.0).mean() >= _RISING:
+            return times, notes if counts else [*notes, *unused_rate(fps)]
+    frames = next(iter(_columns(head, (_FRAME,))), None)
+    rate = fps or _stated(rows[0], head, frames)
+    notes = [] if rate else [assumed]
+    if frames is not None and len({_cell(row, frames) for row in rows}) > 1:
+        return _numbers([_cell(row, frames) for row in rows], head[frames]) / (rate or _RATE), notes
+    return np.arange(len(rows)) / (rate or _RATE), notes
+
+
+def _read(
+    texts: Sequence[str], row: Sequence[str], head: Sequence[str], column: int, fps: float | None
+) -> tuple[FloatArray, bool, list[str]]:
+    """Read the texts of a column as seconds (N,); return also whether they count frames, and what was assumed."""
+    if is_number(texts[0]):  # Audio2Face's timecodes are seconds
+        times, notes = _seconds(_numbers(texts, head[column]), head[column])
+        return times, False, notes
+    times, counts = seconds_of_timecodes(texts, fps, _stated(row, head, column))
+    return times, counts, []
 
 
 def _seconds(values: FloatArray, title: str) -> tuple[FloatArray, list[str]]:
     """Convert times to seconds, in the unit that the title states, or otherwise one that makes them a performance."""
-    matched = _TIME.fullmatch(_letters(title))
+    letters = _letters(title)
+    matched = _TIME.fullmatch(letters) or _LIKELY_TIME.fullmatch(letters)
     if matched is not None and matched[1]:
         return values * _UNITS[matched[1][0]], []
     step = float(np.median(np.diff(values))) if len(values) > 1 else 0.0
@@ -152,17 +147,36 @@ def _seconds(values: FloatArray, title: str) -> tuple[FloatArray, list[str]]:
     return values, []
 
 
-def _rate(row: Sequence[str], head: Sequence[str]) -> tuple[float, list[str]]:
-    """Return the frames per second of a table without times, and what was assumed."""
-    place = _column(head, _FRAME_RATE)
-    if place is not None and is_number(text := _cell(row, place)) and 1.0 <= float(text) <= 1000.0:
-        return float(text), []
-    return _RATE, [Message("The table has no times. Its rate was taken to be {rate:g} frames per second.", rate=_RATE)]
+def _without_jumps(times: FloatArray) -> tuple[FloatArray, int, int]:
+    """Return times (N,) whose jumps are usual steps, how many there were, and the number of the row before the first.
+
+    A clock that is set while it records jumps by more than a minute, and by more than all the rest takes. Shorter
+    pauses are kept, as are the steps of tables with few rows.
+    """
+    steps = np.diff(times)
+    forward = steps[steps > 0.0]
+    if not len(forward):
+        return times, 0, 0
+    usual = float(np.quantile(forward, 0.5, method="lower"))
+    long = np.abs(steps) > max(_JUMP, _JUMP_STEPS * usual)
+    jumps = long & (np.abs(steps) > np.maximum(steps[~long], 0.0).sum())
+    if not jumps.any():
+        return times, 0, 0
+    closed = times[0] + np.concatenate([[0.0], np.cumsum(np.where(jumps, usual, steps))])
+    return closed, int(jumps.sum()), int(jumps.argmax()) + 1
 
 
-def _column(head: Sequence[str], pattern: re.Pattern[str]) -> int | None:
+def _stated(row: Sequence[str], head: Sequence[str], column: int | None) -> float | None:
+    """Return the frames per second that the title of a column or the first row states, if either does."""
+    titled = _STATED.search(head[column]) if column is not None else None
+    texts = [titled[1]] if titled else [_cell(row, place) for place in _columns(head, (_FRAME_RATE,))]
+    return next((float(text) for text in texts if is_number(text) and 1.0 <= float(text) <= _FASTEST), None)
+
+
+def _columns(head: Sequence[str], patterns: Sequence[re.Pattern[str]]) -> list[int]:
+    """Return the columns whose titles fit a pattern, by the first one that they fit."""
     titles = [_letters(title) for title in head]
-    return next((place for place, title in enumerate(titles) if title and pattern.fullmatch(title)), None)
+    return [n for pattern in patterns for n, title in enumerate(titles) if title and pattern.fullmatch(title)]
 
 
 def _letters(title: str) -> str:

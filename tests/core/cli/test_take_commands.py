@@ -80,7 +80,8 @@ def test_a_foreign_table_needs_only_times_pose_and_shape(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "no column 'time'"),
+        ("", "its columns are neither"),
+        ("time,jawOpen\n0,1\n", "its columns are neither"),
         ("time,scale\n0,1\n", "no column 'pitch'"),
         ("\x00\x00", "cannot be read as a take"),
         ("# facemime take nonsense\ntime\n", "cannot be read as a take"),

@@ -281,6 +281,19 @@ def test_every_coefficient_is_known_in_any_spelling(spelling):
     assert [column_of(spelling(name)) for name in COEFFICIENTS] == list(range(N_COEFFICIENTS))
 
 
+def test_halves_of_a_coefficient_are_averaged_and_no_column_may_come_twice(written):
+    whole = [name for name in COEFFICIENTS[:20] if name not in ("browInnerUp", "cheekPuff")]
+    names = [*whole, "browInnerUp_L", "browInnerUp_R", "cheekPuff_L"]
+    values = ["0.25"] * (len(names) - 3) + ["0.8", "0.4", "0.5"]
+    rows = [",".join([time, *values]) for time in ("0", "0.04", "0.08")]
+    take = from_coefficient_csv(written("\n".join([",".join(["time", *names]), *rows])))
+    np.testing.assert_allclose(take.coefficients[:, COEFFICIENT_INDEX["browInnerUp"]], 0.6)
+    np.testing.assert_allclose(take.coefficients[:, COEFFICIENT_INDEX["cheekPuff"]], 0.5)
+    with pytest.raises(SourceError, match="two of its columns are the same coefficient"):
+        twice = [",".join(["time", *names, "BrowInnerUpLeft"]), *(f"{row},0" for row in rows)]
+        from_coefficient_csv(written("\n".join(twice)))
+
+
 def test_missing_values_are_interpolated_and_rows_without_any_have_no_face(written):
     lines = table_of([f"{i / 25:.3f}" for i in range(6)]).splitlines()
     values = [lines[0], lines[1], lines[2].replace("0.25", "nan", 1), lines[3].replace("0.25", "0.75", 1), *lines[4:]]

@@ -7,7 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.takes.table_times import seconds_of_timecodes
+from facemime.core.takes import table_timecodes
+
+
+def seconds_of_timecodes(texts: list[str]) -> np.ndarray:
+    return table_timecodes.seconds_of_timecodes(texts)[0]
+
 
 RATES = (12, 15, 20, 24, 25, 30, 48, 50, 60, 100, 120)
 
