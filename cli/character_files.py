@@ -20,7 +20,8 @@ from ..blender.heads.family import character_of, family_of, heads_of, hide_other
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import paint_skin_around_eyes
-from ..blender.meshes import can_be_driven
+from ..blender.heads.parts import is_sorted
+from ..blender.meshes import can_be_driven, mesh_of
 from ..blender.rendering import quiet, set_rate
 from ..blender.surfaces import lost_images
 from ..core.errors import FacemimeError, HeadError, SourceError
@@ -202,10 +203,8 @@ def likely_mesh(path: Path) -> bpy.types.Object:
 
 def _why_without_mesh(path: Path) -> str:
     """Return why the open file has no mesh in a scene, and what to do."""
-    libraries = (library.filepath for library in bpy.data.libraries)
-    if missing := [place for place in libraries if not os.path.exists(bpy.path.abspath(place))]:
-        names = ", ".join(missing)
-        return f"{path} links files that are missing: {names}. Relocate them in Blender, and save it again."
+    if missing := _missing_files(path):
+        return missing
     if instances := [obj.name for obj in bpy.data.objects if obj.instance_collection is not None]:
         names = ", ".join(instances)
         return (
@@ -213,6 +212,15 @@ def _why_without_mesh(path: Path) -> str:
             "Object > Apply > Make Instances Real."
         )
     return f"{path} has no mesh. Choose another file."
+
+
+def _missing_files(path: Path) -> str:
+    """Return that the open file links files which are missing, and what to do; "" if it does not."""
+    libraries = (library.filepath for library in bpy.data.libraries)
+    names = ", ".join(place for place in libraries if not os.path.exists(bpy.path.abspath(place)))
+    return (
+        f"{path} links files that are missing: {names}. Relocate them in Blender, and save it again." if names else ""
+    )
 
 
 @contextmanager
@@ -239,10 +247,13 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
     head_properties.ensure_registered()
     with read_from(path):
         open_file(path)
-        bound = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
+        bound = _bound_heads()
         if not name and len(bound) > 1:
             raise HeadError(
-                "{path} has {bound} meshes with landmarks. Choose one: {path}:OBJECT.", path=path, bound=len(bound)
+                "{path} has {bound} meshes with landmarks: {names}. Choose one: {path}:OBJECT.",
+                path=path,
+                bound=len(bound),
+                names=", ".join(obj.name for obj in bound),
             )
         named = object_named(path, name) if name else None
         chosen = bound[0] if named is None and bound else named or likely_mesh(path)
@@ -250,7 +261,24 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
             if named is not None:
                 choose_level(named)
             chosen = next(iter(heads_of([chosen])), chosen)
-            return chosen if chosen in bound else _newly_bound(path, chosen, by_keys)
+            if not mesh_of(chosen).vertices and (missing := _missing_files(path)):
+                raise HeadError(missing)
+            return chosen if can_be_driven(chosen) else _newly_bound(path, chosen, by_keys)
+
+
+def _bound_heads() -> list[bpy.types.Object]:
+    """Return the bound heads of the open file, of its scenes if they have any.
+
+    Of linked duplicates, which share a mesh and its landmarks, it is the one that was bound.
+    """
+    every = [obj for obj in bpy.data.objects if obj.type == "MESH" and can_be_driven(obj)]
+    shown = [obj for obj in every if obj.users_scene] or every
+    of_meshes: dict[bpy.types.ID, bpy.types.Object] = {}
+    for obj in shown:
+        mesh = mesh_of(obj)
+        if mesh not in of_meshes or (is_sorted(obj) and not is_sorted(of_meshes[mesh])):
+            of_meshes[mesh] = obj
+    return list(of_meshes.values())
 
 
 def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] | None) -> bpy.types.Object:
