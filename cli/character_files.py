@@ -205,13 +205,22 @@ def _why_without_mesh(path: Path) -> str:
     """Return why the open file has no mesh in a scene, and what to do."""
     if missing := _missing_files(path):
         return missing
-    if instances := [obj.name for obj in bpy.data.objects if obj.instance_collection is not None]:
-        names = ", ".join(instances)
-        return (
-            f"{path} has instances of collections instead of meshes: {names}. Make their objects real in Blender: "
-            "Object > Apply > Make Instances Real."
-        )
-    return f"{path} has no mesh. Choose another file."
+    return _only_instances(path) or f"{path} has no mesh. Choose another file."
+
+
+def _only_instances(path: Path) -> str:
+    """Return that the open file has instances of collections, and what to do; "" if it has none."""
+    instances = [obj for obj in bpy.data.objects if obj.instance_collection is not None]
+    if not instances:
+        return ""
+    linked = any(collection.library for obj in instances if (collection := obj.instance_collection))
+    what = (
+        "Make a library override in Blender: Object > Library Override > Make."
+        if linked
+        else "Make their objects real in Blender: Object > Apply > Make Instances Real."
+    )
+    names = ", ".join(obj.name for obj in instances)
+    return f"{path} has instances of collections instead of meshes: {names}. {what}"
 
 
 def _missing_files(path: Path) -> str:
@@ -257,6 +266,8 @@ def open_head(file: HeadFile, *, by_keys: Collection[str] | None = None) -> bpy.
             )
         named = object_named(path, name) if name else None
         chosen = bound[0] if named is None and bound else named or likely_mesh(path)
+        if (chosen.instance_collection or not chosen.users_scene) and (instances := _only_instances(path)):
+            raise HeadError(instances)
         with showing_scene(scene_of(chosen)):
             if named is not None:
                 choose_level(named)

@@ -127,7 +127,8 @@ def puppet_head(
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
     unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow)]
     loose = loose_parts(obj) if bake.keys == CONTROLS else ""
-    notes = tuple(filter(None, [_what_was_muted(silenced), *unseen_for, loose, outside_range(scene, shown)]))
+    left_out = _muted_keys(obj, bake)
+    notes = tuple(filter(None, [_what_was_muted(silenced), left_out, *unseen_for, loose, outside_range(scene, shown)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))
     added = bake.clean if clean is not None and plan.keys else 0.0
     return PuppetReport(
@@ -151,6 +152,16 @@ def _what_was_muted(silenced: Sequence[Silenced]) -> str:
         return ""
     names = name_them(silenced)
     return Message("Muted, as the take moves the same: {names}. Use Keep Animation to add the take to it.", names=names)
+
+
+def _muted_keys(obj: bpy.types.Object, bake: BakeSettings) -> str:
+    """Return a warning that names keys of the mapping which the user has muted; an empty text if there are none."""
+    keys = mesh_of(obj).shape_keys
+    if bake.keys != "mapped" or keys is None:
+        return ""
+    blocks, table = keys.key_blocks, table_for(obj, bake.table)
+    names = ", ".join(name for name in table.keys if name in blocks and blocks[name].mute)
+    return Message("Muted shape keys were left out: {names}. Unmute them to show them.", names=names) if names else ""
 
 
 def puppet_heads(

@@ -100,6 +100,15 @@ def test_a_key_with_coordinates_that_are_not_numbers_is_named_and_may_be_muted()
     assert min(baked(head, blinking()).values()) > 0.5
 
 
+def test_muted_keys_of_the_mapping_are_named():
+    head = character(1.0)
+    settings = PuppetSettings(bake=BakeSettings(keys="mapped"), neutral=0.0)
+    assert not any("left out" in note for note in puppet_head(bpy.context.scene, head, blinking(), settings).warnings)
+    head.data.shape_keys.key_blocks["jawOpen"].mute = True
+    report = puppet_head(bpy.context.scene, head, blinking(), settings)
+    assert "Muted shape keys were left out: jawOpen. Unmute them to show them." in report.warnings
+
+
 def test_what_a_phone_states_stays_as_it_is():
     assert max(baked(character(0.8), coefficient_take()).values()) == pytest.approx(0.9, abs=0.02)
 
