@@ -228,10 +228,14 @@ def names_of(keys: Iterable[str], known: Set[str]) -> dict[str, set[str]]:
 
 
 def _by_words(key: str, known: Container[str]) -> Iterator[tuple[tuple[str, str], str]]:
-    """Yield the words before and after known names in `key`, and these names."""
+    """Yield the words before and after known names in `key`, and these names.
+
+    Of several numbers, the last one of a name may not be its own, as in `AU_01_Wrinkle3`.
+    """
     for before, shortened in _without(key, _FIRST, _MOST_FIRST):
         for after, name in _without(shortened, _LAST, _MOST_LAST):
-            if (before or after) and normalised(name) in known:
+            counted = name[-1:].isdigit() and _numbered(before + after) != before + after
+            if (before or after) and normalised(name) in known and not counted:
                 yield (_numbered(before), _numbered(after)), normalised(name)
 
 

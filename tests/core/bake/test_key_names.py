@@ -123,6 +123,7 @@ SETS = {
         "Expressions_mouthOpenHalf_max Expressions_mouthOpenO_max Expressions_mouthOpen_max "
         "Expressions_mouthSmileL_max Expressions_mouthSmileR_max Expressions_mouthSmile_max Expressions_tongueOut_max"
     ),
+    "FACS": "AU1 AU2_L AU2_R AU04 AU06 AU12_L AU12_R AU15 AU18 AU26 AU45_L AU45_R",
     "Rocketbox": (
         "AU_01_InnerBrowRaiser AU_02_L_OuterBrowRaiser AU_02_R_OuterBrowRaiser AU_02_OuterBrowRaiser AU_04_BrowLowerer "
         "AU_12_L_LipCornerPuller AU_12_R_LipCornerPuller AU_26_JawDrop AU_45_Blink"
