@@ -23,7 +23,7 @@ from .frames import PacketError, StreamFrame
 PORT = 11573
 _FACE = struct.Struct("<di2f2fBf4f3f3f")
 _BYTES = _FACE.size + 4 * (68 + 2 * 68 + 3 * 70 + 14)
-_MAX_FACES = 4
+_MAX_FACES = 16
 _UNIT = 0.63181
 """Distance between the outer eye corners of OpenSeeFace's own face, to whose width it scales all faces."""
 _PIXELS = 1e5
