@@ -35,6 +35,8 @@ _SPARSE = 2
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
 _MOST_STRETCHED = 4.0
 """Largest ratio of the sides of a pixel; any other is taken for a mistake in the file."""
+_SQUARE = 0.02
+"""Difference of this ratio from 1 up to which pixels are square: rounded sizes of a file are off by less."""
 _FASTEST = 120.0
 """Largest nominal rate that is believed without a look at the times. Recorders in browsers state 1000."""
 _LOOKED_AT = 60
@@ -153,7 +155,8 @@ class VideoSource(Closing):
     def _pixel_aspect(self) -> float:
         sides = [float(self._capture.get(side)) for side in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN)]
         aspect = sides[0] / sides[1] if min(sides) > 0.0 else 1.0
-        return aspect if 1.0 / _MOST_STRETCHED <= aspect <= _MOST_STRETCHED else 1.0
+        believed = 1.0 / _MOST_STRETCHED <= aspect <= _MOST_STRETCHED and abs(aspect - 1.0) > _SQUARE
+        return aspect if believed else 1.0
 
     def _squared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return an upright image with square pixels; the side that is too short grows."""
