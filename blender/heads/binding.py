@@ -331,7 +331,7 @@ def _bound(
     failure: HeadError | None = None
     marked = {landmark: int(skin.number[vertex]) for landmark, vertex in marks.items() if vertex < len(skin.number)}
     marked = {landmark: vertex for landmark, vertex in marked.items() if vertex >= 0}
-    shown = None if paint is None else paint.of_faces(skin.rows)
+    shown = None if paint is None else paint.of_skin(skin)
     vertices = read_vertices(mesh_of(obj))
     for rotation in axes:
         try:

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 
 from ..mesh.surface import surface_normals, triangulate
 from ..mesh.triangles import Fragments, rasterise
+from ..mesh.winding import turned_over
 from ..numeric.arrays import FloatArray, IntArray
+from .rig import Skin
 
 SIZE = 256
 """Side of a portrait in pixels."""
@@ -143,6 +145,10 @@ class Paint:
     def of_faces(self, rows: IntArray) -> Paint:
         """Return the paint of some faces only."""
         return Paint(self.image, self.uv[rows])
+
+    def of_skin(self, skin: Skin) -> Paint:
+        """Return the paint of the faces of a skin."""
+        return Paint(self.image, turned_over(self.uv[skin.rows], skin.faces, skin.turned))
 
 
 class Sitter:

@@ -12,6 +12,7 @@ from ..errors import HeadError, messages
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, JAW, LIPS, N_LANDMARKS, outer_eye_distance
 from ..face.rotation import fit_rotation
 from ..mesh.surface import SurfaceGraph, border_twins, touching
+from ..mesh.winding import inside_out, turned_over
 from ..numeric.arrays import FloatArray, IntArray
 from .built_in import Head, load_head
 from .style import Style
@@ -91,12 +92,15 @@ class Skin:
         Faces of the skin.
     rows : (F,) intp
         Face of the mesh of each face of the skin.
+    turned : (F,) bool
+        Faces whose corners are in the opposite order, so that all face outwards.
     """
 
     kept: NDArray[np.intp]
     number: NDArray[np.intp]
     faces: NDArray[np.intp]
     rows: NDArray[np.intp]
+    turned: NDArray[np.bool_]
 
     @property
     def is_whole(self) -> bool:
@@ -120,7 +124,9 @@ def skin_of(
     number[kept] = np.arange(len(kept))
     number[:-1][skin] = number[first[skin]]
     within = ((number[faces] >= 0) | (faces < 0)).all(axis=1)
-    return Skin(kept, number[:-1], number[faces[within]], np.flatnonzero(within))
+    found = number[faces[within]]
+    turned = inside_out(np.asarray(vertices)[kept], found)
+    return Skin(kept, number[:-1], turned_over(found, found, turned), np.flatnonzero(within), turned)
 
 
 def _size(points: FloatArray) -> float:

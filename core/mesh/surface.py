@@ -78,10 +78,10 @@ def islands(count: int, faces: IntArray, twins: IntArray | None = None) -> NDArr
     corners = np.where(faces >= 0, faces, faces[:, :1]).astype(np.intp)
     pairs = np.stack([np.broadcast_to(corners[:, :1], corners.shape), corners], axis=-1).reshape(-1, 2)
     joined = pairs if twins is None else np.concatenate([pairs, np.column_stack([np.arange(count), twins])])
-    return _pieces(count, joined)
+    return connected(count, joined)
 
 
-def _pieces(count: int, edges: IntArray) -> NDArray[np.intp]:
+def connected(count: int, edges: IntArray) -> NDArray[np.intp]:
     """Number the pieces that edges (E, 2) connect, (count,), in the order of their first vertices."""
     graph = linalg.part("sparse").coo_matrix((np.ones(len(edges)), tuple(edges.T)), (count, count))
     return np.asarray(linalg.part("sparse.csgraph").connected_components(graph, directed=False)[1], dtype=np.intp)
@@ -163,7 +163,7 @@ class SurfaceGraph:
         """Return the connected borders of the mesh as arrays of vertices, the longest first."""
         border = self.edges[self.faces_at == 1]
         vertices = np.unique(border)
-        piece = _pieces(len(self.vertices), border)[vertices]
+        piece = connected(len(self.vertices), border)[vertices]
         order = np.argsort(piece, kind="stable")
         pieces = np.split(vertices[order], np.flatnonzero(np.diff(piece[order])) + 1) if len(order) else []
         return sorted(pieces, key=len, reverse=True)
