@@ -13,16 +13,13 @@ from mathutils import Matrix
 from numpy.typing import NDArray
 
 from ...core.errors import HeadError, Message
-from ...core.face.landmarks import from_ibug
 from ...core.heads.bind import Binding, bind_landmarks
-from ...core.heads.brows import place_on_brows
 from ...core.heads.checks import EYES_SHUT, Finding, check_head
-from ...core.heads.eyeballs import EYES
-from ...core.heads.portrait import Paint, lids_seen
+from ...core.heads.portrait import Paint
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import Part, Skin
 from ...core.numeric.arrays import FloatArray, IntArray
-from ..characters import part_mesh, read_kinds
+from ..characters import read_kinds
 from ..frames import HEAD_TO_BLENDER
 from ..meshes import (
     can_be_driven,
@@ -52,7 +49,6 @@ from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, loose_companions, require_character
 from .levels import without_copies
 from .parts import (
-    brow_mesh,
     current_skin,
     forget_parts,
     held_by_head,
@@ -61,6 +57,7 @@ from .parts import (
     skin_of_object,
     sort_character,
 )
+from .refining import on_brows, on_lids
 from .soundness import generating_modifiers, require_sound, stray_vertices
 
 _MAX_CANDIDATES = 3
@@ -153,10 +150,10 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
         if turn is not None:
             turn_mesh(obj, turn.T)
         raise
-    landmarks, seen = _with_lids(obj, landmarks, binding.rotation, marks)
+    landmarks, seen = on_lids(obj, landmarks, binding.rotation, marks)
     if seen:  # the tracker may take blank eyeballs, as of a mesh without colours, for shut lids
         binding = replace(binding, findings=tuple(found for found in binding.findings if found != EYES_SHUT))
-    landmarks = _with_brows(obj, landmarks, binding.rotation)
+    landmarks = on_brows(obj, landmarks, binding.rotation)
     write_landmarks(mesh, landmarks)
     if SELECTION_PROPERTY in mesh:
         del mesh[SELECTION_PROPERTY]
@@ -208,38 +205,6 @@ def _among_parts(
         forget_parts(obj)
         raise
     return binding, final.kept[binding.landmarks]
-
-
-def _with_lids(
-    head: bpy.types.Object, landmarks: IntArray, rotation: _Rotation, marks: dict[int, int]
-) -> tuple[NDArray[np.intp], bool]:
-    """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them, and
-    whether an eye is seen between its lids.
-    """
-    skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
-    places = read_vertices(mesh_of(head))[skin.kept] @ rotation.T
-    improved, seen = np.array(landmarks, dtype=np.intp), False
-    for part, lids in zip((Part.EYE_RIGHT, Part.EYE_LEFT), EYES, strict=True):
-        eye, faces = part_mesh(head, part)
-        if len(faces) == 0 or set(lids.tolist()) & set(from_ibug(list(marks)).tolist()):
-            continue
-        found = lids_seen(places, skin.faces, eye @ rotation.T, faces, left=part == Part.EYE_LEFT)
-        seen |= found is not None
-        if found is not None and not np.isin(skin.kept[found], np.delete(improved, lids)).any():
-            improved[lids] = skin.kept[found]
-    return improved, seen
-
-
-def _with_brows(head: bpy.types.Object, landmarks: IntArray, rotation: _Rotation) -> NDArray[np.intp]:
-    """Return the landmarks, with those of each brow moved to it if it is a piece of its own and they lie beside it."""
-    brows, faces = brow_mesh(head)
-    skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
-    if len(faces) == 0 or (skin.number[landmarks] < 0).any():
-        return np.array(landmarks, dtype=np.intp)
-    places = read_vertices(mesh_of(head))[skin.kept] @ rotation.T
-    found = place_on_brows(places, skin.faces, skin.number[landmarks], brows @ rotation.T, faces)
-    kept = found == skin.number[landmarks]
-    return np.where(kept, landmarks, skin.kept[found])
 
 
 def propose_head_regions(obj: bpy.types.Object) -> None:
