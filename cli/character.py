@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, nullcontext
 from dataclasses import dataclass, replace
+from math import floor, log10
 from pathlib import Path
 
 import bpy
@@ -16,15 +18,15 @@ from numpy.typing import NDArray
 from ..blender.animation.clips import clips_of, owners_of, play
 from ..blender.animation.sampling import Sampling
 from ..blender.characters import part_table, read_bones
-from ..blender.contexts import scene_of, showing_scene
-from ..blender.frames import to_blender
+from ..blender.contexts import evaluated_depsgraph, scene_of, showing_scene
 from ..blender.heads.binding import check_object, write_marks
 from ..blender.heads.expression_keys import MadeKeys, make_expression_keys
 from ..blender.heads.family import armature_of, character_of, family_of
 from ..blender.heads.keyed import driven_by_its_keys, known_set
-from ..blender.meshes import driven_by_keys, is_head, mesh_of, object_of, read_landmarks, read_vertices
+from ..blender.meshes import driven_by_keys, is_head, mesh_of, object_of, read_landmarks
 from ..blender.preview_scene import face_points, setup_preview
 from ..blender.rendering import render_frames
+from ..blender.view_layers import revealed, set_for_now
 from ..core.bake.key_sets import KeySet
 from ..core.errors import HeadError
 from ..core.face.landmarks import EDGES, from_ibug
@@ -85,6 +87,8 @@ Mark = int | tuple[float, float, float]
 """A vertex, or a position in the scene."""
 _REACH = 0.1
 """Largest distance of a position from the mesh, as a share of the mesh's diagonal."""
+_PRECISION = 1e-5
+"""Precision of positions, as a share of the mesh's size, which distinguishes vertices of a body with 280,000."""
 
 
 def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.Object:
@@ -123,9 +127,25 @@ def mark_points(obj: bpy.types.Object, marks: Mapping[int, Mark]) -> bpy.types.O
 
 
 def _in_scene(obj: bpy.types.Object) -> FloatArray:
-    matrix = np.array(obj.matrix_world)
-    places = np.asarray(to_blender(read_vertices(mesh_of(obj))), dtype=np.float64)
-    return np.asarray(places @ matrix[:3, :3].T + matrix[:3, 3])
+    """Return the vertices of a mesh, (V, 3), where they are seen in the scene: in the pose of the current frame.
+
+    Modifiers that change the number of vertices are left out.
+    """
+    with ExitStack() as stack:
+        stack.enter_context(showing_scene(scene_of(obj)))
+        stack.enter_context(nullcontext() if obj.visible_get() else revealed([obj]))
+        for modifier in obj.modifiers if _count(obj) != len(mesh_of(obj).vertices) else ():
+            before = _count(obj)
+            with ExitStack() as hidden:
+                set_for_now(hidden, modifier, "show_viewport", False)
+                if _count(obj) != before:
+                    stack.push(hidden.pop_all())
+        return face_points(obj)
+
+
+def _count(obj: bpy.types.Object) -> int:
+    """Number of vertices of a visible mesh with its modifiers."""
+    return len(mesh_of(obj.evaluated_get(evaluated_depsgraph(bpy.context))).vertices)
 
 
 def _distances(obj: bpy.types.Object, positions: Mapping[int, FloatArray]) -> FloatArray:
@@ -164,10 +184,12 @@ class BoundCharacter:
         """Return what to do if this may not be the face, and where the points that matter are now; "" if it is."""
         if self.binding is None or not self.binding.doubt:
             return ""
-        places = _in_scene(self.head)[read_landmarks(self.head)[from_ibug(self.binding.wanted)]]
+        places = _in_scene(self.head)
+        digits = -floor(log10(_PRECISION * max(float(np.ptp(places, axis=0).max()), _PRECISION)))
+        at = places[read_landmarks(self.head)[from_ibug(self.binding.wanted)]].round(digits) + 0.0
         now = " ".join(
-            f"--mark {number}={','.join(f'{value:.4g}' for value in at)}"
-            for number, at in zip(self.binding.wanted, places, strict=True)
+            f"--mark {number}={','.join(map(str, place))}"
+            for number, place in zip(self.binding.wanted, at.tolist(), strict=True)
         )
         return f"{self.binding.doubt}. They are at: {now}"
 

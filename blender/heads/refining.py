@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ...core.face.landmarks import from_ibug
 from ...core.heads.brows import place_on_brows
 from ...core.heads.eyeballs import EYES
+from ...core.heads.landmark_vertices import pulled_to_marks
 from ...core.heads.portrait import lids_seen
 from ...core.heads.rig import Part
 from ...core.numeric.arrays import FloatArray, IntArray
@@ -20,7 +21,7 @@ from .parts import brow_mesh, skin_of_object
 def on_lids(
     head: bpy.types.Object, landmarks: IntArray, rotation: FloatArray, marks: dict[int, int]
 ) -> tuple[NDArray[np.intp], bool]:
-    """Return the landmarks, with those of each eye moved to the rim of its lids, unless the user marked them, and
+    """Return the landmarks, with those of each eye moved to the rim of its lids and from there to the user's marks, and
     whether an eye is seen between its lids.
     """
     improved, seen = np.array(landmarks, dtype=np.intp), False
@@ -31,13 +32,18 @@ def on_lids(
         return improved, seen
     skin = skin_of_object(head, read_kinds(mesh_of(head)) != Part.SKIN, landmarks)
     places = read_vertices(mesh_of(head))[skin.kept] @ rotation.T
+    picked = dict(zip(from_ibug(list(marks)).tolist(), marks.values(), strict=True))
     for part, lids, eye, faces in eyes:
-        if len(faces) == 0 or set(lids.tolist()) & set(from_ibug(list(marks)).tolist()):
+        if len(faces) == 0:
             continue
         found = lids_seen(places, skin.faces, eye @ rotation.T, faces, left=part == Part.EYE_LEFT)
         seen |= found is not None
         if found is not None and not np.isin(skin.kept[found], np.delete(improved, lids)).any():
             improved[lids] = skin.kept[found]
+            own = {i: int(skin.number[picked[i]]) for i in lids.tolist() if i in picked}
+            if own and (skin.number[improved] >= 0).all():
+                pulled = pulled_to_marks(places, skin.faces, skin.number[improved], own, symmetric=False)
+                improved = skin.kept[pulled]
     return improved, seen
 
 

@@ -15,28 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import HeadError, Message, messages
-from ..face.landmarks import (
-    EYE_LEFT,
-    EYE_RIGHT,
-    JAW,
-    LOWER_LIP,
-    MIRROR,
-    MOUTH_INNER_LOWER,
-    MOUTH_INNER_UPPER,
-    N_LANDMARKS,
-    NOSE,
-    UPPER_LIP,
-    from_ibug,
-)
+from ..face.landmarks import JAW, N_LANDMARKS, NOSE, from_ibug, outer_eye_distance
 from ..mesh.surface import SurfaceGraph, border_twins, islands
 from ..numeric.arrays import FloatArray, IntArray, as_points
 from .checks import Finding, resting_findings
 from .fit_template import NOT_FOUND, fit_template
+from .landmark_vertices import FACING, TOO_COARSE, distinct, on_own_lip, onto_corners, onto_rims, pulled_to_marks
 from .portrait import Paint
 from .proposal import propose_regions
 from .rig import HeadRig, jaw_pivot_of
 from .sight import Sight
-from .slits import lips_joined
 from .symmetry import even_landmarks, mirror_of
 from .template import Surface, Template, load_template
 
@@ -54,13 +42,19 @@ MARKS = messages(
 )
 """Points that a user may mark, by iBUG number; all or some of them, in any order."""
 MIN_MARKS = 4
-TOO_COARSE = Message("The mesh is too coarse for 66 landmarks. Subdivide the face, or use another mesh.")
+_DOUBTS = messages(
+    {
+        1: "This face is unusual. If landmarks are misplaced, also mark: {label1}",
+        2: "This face is unusual. If landmarks are misplaced, also mark: {label1}; {label2}",
+        3: "This face is unusual. If landmarks are misplaced, also mark: {label1}; {label2}; {label3}",
+        4: "This face is unusual. If landmarks are misplaced, mark four points: {label1}; {label2}; {label3}; {label4}",
+    }
+)
+"""What to do in doubt, by the number of marks that would help."""
 _ENOUGH = 5 * N_LANDMARKS
 """Number of vertices below which a mesh in which no face is found is too coarse. The built-in head, decimated, is found
 down to 370."""
 
-_RIMS = np.concatenate([EYE_RIGHT, EYE_LEFT, MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
-"""Landmarks that lie on the rims of openings, if the mesh has any there."""
 _RIM_REACH = 0.08
 """Distance, in outer-eye distances, within which these landmarks are moved to a rim."""
 _RIM_REACH_SEEN = 0.04
@@ -79,8 +73,9 @@ _DISTINCT = 0.8
 the lips or lids may share one."""
 _DISTINCT_BY_SHAPE = 0.95
 """Share of landmarks that need a vertex of their own if a face is known by its shape alone."""
-_FACING = 0.3
-"""Cosine of the angle between normals above which a vertex faces roughly the same way."""
+_AGREEMENT = 0.12
+"""Median distance of landmarks found without marks from these, in outer-eye distances, above which the marks lead the
+search."""
 
 
 @dataclass(frozen=True)
@@ -105,8 +100,8 @@ class Binding:
     clarity : float
         How clearly the tracker sees the face on a rendering of the mesh, 0 to 1; 0 if it sees none.
     wanted : tuple of int
-        iBUG numbers of the four marks that would help most, if neither the shape nor the rendering is clear. They are
-        expected where their landmarks are now.
+        iBUG numbers of the marks that would help most, at most four, if neither the shape nor the rendering is clear.
+        They are expected where their landmarks are now.
     findings : tuple of Finding
         What distinguishes the head at rest from a neutral face.
     """
@@ -123,7 +118,7 @@ class Binding:
 
     @property
     def sure(self) -> bool:
-        """Whether this certainly is a face in this attitude: marked, clearly seen, or shaped like a human head."""
+        """Whether this certainly is a face in this attitude: marked, seen, or shaped like a human head."""
         return not self.wanted
 
     @property
@@ -131,11 +126,8 @@ class Binding:
         """What to do if this may not be the face; "" if it is `sure`."""
         if self.sure:
             return ""
-        return Message(
-            "This face is unusual. If landmarks are misplaced, mark four points: "
-            "{label1}; {label2}; {label3}; {label4}",
-            **{f"label{place}": MARKS[number] for place, number in enumerate(self.wanted, 1)},
-        )
+        labels = {f"label{place}": MARKS[number] for place, number in enumerate(self.wanted, 1)}
+        return Message(_DOUBTS[len(labels)].template, **labels)
 
 
 def bind_landmarks(
@@ -183,20 +175,42 @@ def bind_landmarks(
         raise HeadError("The mesh has no vertices. Choose another mesh.")
     if len(places) < N_LANDMARKS:
         raise HeadError(TOO_COARSE)
-    binding = _bound(places, np.asarray(faces), picked, paint)
-    skin = np.zeros(len(places), dtype=bool) if picked else _under_others(places, np.asarray(faces), binding.landmarks)
+    polygons = np.asarray(faces)
+    return _marked(places, polygons, picked, paint) if picked else _unmarked(places, polygons, paint)
+
+
+def _unmarked(places: FloatArray, faces: IntArray, paint: Paint | None) -> Binding:
+    """Find the landmarks of a head without marks, and again on its skin alone if some lie on other pieces."""
+    binding = _bound(places, faces, {}, paint)
+    skin = _under_others(places, faces, binding.landmarks)
     if not skin.any():
         return binding
     kept = np.flatnonzero(skin)
     number = np.append(np.cumsum(skin) - 1, -1)
-    rows = skin[np.asarray(faces)[:, 0]]
+    rows = skin[faces[:, 0]]
     try:
-        again = _bound(
-            places[kept], number[np.asarray(faces)[rows]], {}, None if paint is None else paint.of_faces(rows)
-        )
+        again = _bound(places[kept], number[faces[rows]], {}, None if paint is None else paint.of_faces(rows))
     except HeadError:
         return binding
     return replace(again, landmarks=kept[again.landmarks], body=binding.body)
+
+
+def _marked(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint: Paint | None) -> Binding:
+    """Find the landmarks of a head with marks: these refine what is found without them, unless that is elsewhere.
+
+    Marks settle the doubt about their own landmarks.
+    """
+    try:
+        plain = _unmarked(places, faces, paint)
+    except HeadError:
+        return _bound(places, faces, picked, paint)
+    points = places[plain.landmarks]
+    off = np.linalg.norm(points[list(picked)] - places[list(picked.values())], axis=1)
+    if float(np.median(off)) > _AGREEMENT * outer_eye_distance(points):
+        return _bound(places, faces, picked, paint)
+    landmarks = pulled_to_marks(places, faces, plain.landmarks, picked, symmetric=plain.symmetric)
+    wanted = tuple(number for number in plain.wanted if int(from_ibug([number])[0]) not in picked)
+    return replace(plain, landmarks=landmarks, wanted=wanted)
 
 
 def pieces_with_face(number: IntArray, landmarks: IntArray) -> NDArray[np.bool_]:
@@ -230,20 +244,19 @@ def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint
     landmarks = _nearest(template, surface, (bent, rotation), _MAX_DISTANCE * unit, sight is not None)
     graph = SurfaceGraph(surface.places, surface.faces)
     # 4. Move landmarks to the rims of openings, and inner lips to their own side.
-    landmarks = _onto_rims(
-        graph, bent[template.landmarks], landmarks, unit * (_RIM_REACH_SEEN if sight else _RIM_REACH)
-    )
+    landmarks = onto_rims(graph, bent[template.landmarks], landmarks, unit * (_RIM_REACH_SEEN if sight else _RIM_REACH))
+    landmarks = onto_corners(graph, surface.faces, landmarks, -rotation[:, 2])
     landmarks[list(picked)] = list(picked.values())
-    landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks)
+    landmarks = on_own_lip(graph, bent[template.landmarks], landmarks)
     # 5. Symmetry, on a mesh that is its own mirror image.
     mirror = mirror_of(surface.places, rotation, surface.places[landmarks], unit)
     if mirror is not None:
         landmarks = even_landmarks(landmarks, mirror, surface.places, bent[template.landmarks], picked)
-        landmarks = _on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
+        landmarks = on_own_lip(graph, bent[template.landmarks], landmarks, mirror == np.arange(len(mirror)))
     if len(set(landmarks.tolist())) < (_DISTINCT if sight is not None or picked else _DISTINCT_BY_SHAPE) * N_LANDMARKS:
         raise HeadError(TOO_COARSE if sight is not None or picked or len(places) < _ENOUGH else NOT_FOUND)
     turn = rotation.T @ fitted.view.attitude
-    found = fitted.view.part[_distinct(graph, landmarks, picked)]
+    found = fitted.view.part[distinct(graph, landmarks, picked)]
     body = len(fitted.view.part) < _HEAD_SHARE * len(places)
     return Binding(
         landmarks=found,
@@ -253,16 +266,23 @@ def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint
         symmetric=mirror is not None,
         body=body,
         clarity=sight.clarity if sight else 0.0,
-        wanted=() if picked or sight is None or fitted.sure else _wanted(sight, surface.places[landmarks]),
+        wanted=() if fitted.sure else _wanted(sight, surface.places[landmarks], picked),
         findings=resting_findings(sight.shape) if sight and sight.sure else (),
     )
 
 
-def _wanted(sight: Sight, found: FloatArray) -> tuple[int, ...]:
-    """Return the marks, by iBUG number, for which the places found (66, 3) differ most from those seen."""
-    off = np.linalg.norm(found - sight.points, axis=1)
-    ordered = sorted(MARKS, key=lambda number: -float(off[from_ibug([number])[0]]))
-    return tuple(sorted(ordered[:MIN_MARKS]))
+def _wanted(sight: Sight | None, found: FloatArray, picked: Mapping[int, int]) -> tuple[int, ...]:
+    """Return the unmarked points, by iBUG number, for which the places found (66, 3) differ most from those seen.
+
+    If no face is seen, marks alone determine it, and the first of the others are returned; none without marks.
+    """
+    others = [number for number in MARKS if int(from_ibug([number])[0]) not in picked]
+    if sight is not None:
+        off = np.linalg.norm(found - sight.points, axis=1)
+        others.sort(key=lambda number: -float(off[from_ibug([number])[0]]))
+    elif not picked:
+        return ()
+    return tuple(sorted(others[:MIN_MARKS]))
 
 
 def _nearest(
@@ -283,65 +303,11 @@ def _nearest(
     if seen:
         close, distance = surface.close_by(wanted)
         facing = (np.einsum("nkd,nd->nk", surface.normals[close], normals) for normals in (own, around))
-        fits = (np.maximum(*facing) > _FACING) & (distance < reach)
+        fits = (np.maximum(*facing) > FACING) & (distance < reach)
         found = np.where(fits.any(axis=1), close[np.arange(N_LANDMARKS), fits.argmax(axis=1)], found)
     away = np.linalg.norm(surface.places[found] - wanted, axis=1) > reach
     found[away] = surface.nearest(wanted[away], around[away]) if away.any() else found[away]
     return found
-
-
-def _onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reach: float) -> NDArray[np.intp]:
-    """Move landmarks of lids and inner lips to the nearest border within `reach`, if the mesh has openings there."""
-    moved = np.array(landmarks, dtype=np.intp)
-    pieces = [piece for piece in graph.openings() if len(piece) < 0.5 * len(graph.vertices)]
-    if not pieces:
-        return moved
-    border = np.concatenate(pieces)
-    for i in _RIMS:
-        distance = np.linalg.norm(graph.vertices[border] - wanted[i], axis=1)
-        if distance.min() < reach:
-            moved[i] = border[np.argmin(distance)]
-    return moved
-
-
-def _on_own_lip(
-    graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, middle: NDArray[np.bool_] | None = None
-) -> NDArray[np.intp]:
-    """Move inner lip landmarks that ended on the wrong lip to their own, which is nearer along the surface.
-
-    Those in the middle of a symmetric head stay among the vertices `middle` (V,).
-    """
-    moved = np.array(landmarks, dtype=np.intp)
-    if lips_joined(graph, landmarks):
-        return moved
-    to_upper, to_lower = (graph.path_lengths(landmarks[rim].tolist()) for rim in (UPPER_LIP, LOWER_LIP))
-    for inner, own, other in (
-        (MOUTH_INNER_UPPER, to_upper, to_lower),
-        (MOUTH_INNER_LOWER, to_lower, to_upper),
-    ):
-        for i in inner[own[moved[inner]] >= other[moved[inner]]]:
-            within = own < other if middle is None or MIRROR[i] != i else (own < other) & middle
-            if len(lip := np.flatnonzero(within)):
-                moved[i] = lip[np.argmin(np.linalg.norm(graph.vertices[lip] - wanted[i], axis=1))]
-    return moved
-
-
-def _distinct(graph: SurfaceGraph, landmarks: IntArray, picked: Mapping[int, int]) -> NDArray[np.intp]:
-    """Move landmarks that share a vertex to free neighbours, or theirs, as control points have to differ.
-
-    Marked ones stay.
-    """
-    spread, used = np.array(landmarks, dtype=np.intp), set()
-    for i, vertex in sorted(enumerate(landmarks.tolist()), key=lambda pair: pair[0] not in picked):
-        if vertex in used:
-            near = graph.neighbours(vertex)
-            further = [other for neighbour in near for other in graph.neighbours(neighbour)]
-            free = [v for v in near if v not in used] or [v for v in further if v not in used]
-            if not free:
-                raise HeadError(TOO_COARSE)
-            spread[i] = min(free, key=lambda v: float(np.linalg.norm(graph.vertices[v] - graph.vertices[vertex])))
-        used.add(int(spread[i]))
-    return spread
 
 
 def bind_head(vertices: FloatArray, faces: IntArray, marks: Mapping[int, int] | None = None) -> HeadRig:

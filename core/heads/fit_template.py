@@ -9,10 +9,12 @@ from itertools import islice
 import numpy as np
 
 from ..errors import HeadError, Message
-from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, MOUTH_CORNERS, N_LANDMARKS, NOSE
+from ..face.landmarks import BROWS, INNER, LIPS, N_LANDMARKS, NOSE
 from ..mesh.kernels import Warp
 from ..mesh.surface import surface_normals
+from ..numeric import linalg
 from ..numeric.arrays import FloatArray, IntArray
+from .landmark_vertices import ORGANS
 from .portrait import Paint
 from .sight import Sight, look
 from .template import Pose, Surface, Template, follow, pose_from_shape, rough_poses, similarity
@@ -34,15 +36,15 @@ _SOFTNESS = np.full(N_LANDMARKS, 0.3)
 _SOFTNESS[NOSE] = 2.0
 """Allowed distance of landmarks from where they are seen, relative to that of the skin from the mesh. The nose is
 allowed more, as its shape shows where its landmarks are."""
-_ORGANS = tuple(
-    (organ, tuple(int(corner) for corner in corners))
-    for organ, corners in ((EYE_RIGHT, EYE_RIGHT[[0, 3]]), (EYE_LEFT, EYE_LEFT[[0, 3]]), (LIPS, MOUTH_CORNERS))
-)
-"""Landmarks of eyes and mouth, and their corners."""
 _EXACT = 0.002
 """Mean distance in outer-eye distances below which a mesh is the built-in head itself, whose landmarks are exact."""
 _AGREEMENT = 0.12
 """Median distance, in outer-eye distances, between seen landmarks and marks above which the seen face is rejected."""
+_SPREAD = 0.15
+"""Ratio of the extents of the marks below which they nearly lie on one line, so that small errors rotate the head about
+it. On the template the corners of the eyes have 0.08, any other four points 0.2 and more."""
+_TURNS = np.radians((0.0, -45.0, 45.0, -90.0, 90.0, -135.0, 135.0, 180.0))
+"""Rotations about that line in which a face is sought."""
 _BIAS = np.zeros(N_LANDMARKS)
 """Share of the tracker's error on the template that is expected on any mesh."""
 _BIAS[BROWS] = 0.5
@@ -171,14 +173,15 @@ def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int
     guides = _of_marks(template, surface, marks)
     try:
         if marks:
-            pose = similarity(guides.source, guides.target)
-            sight = _seen_along(view, pose, marks)
+            pose, sight = _posed(template, view, guides, marks)
         if sight is not None:
             guides = guides.joined(_of_sight(template, sight, marks))
         elif marks:
             guides = guides.joined(_of_organs(template, guides, pose, marks))
-        if not marks:
-            pose = similarity(guides.source, guides.target) if sight else pose_from_shape(template, surface)
+        if sight is not None:
+            pose = similarity(guides.source, guides.target)
+        elif not marks:
+            pose = pose_from_shape(template, surface)
         if sight and not marks:
             distance, closest = follow(template, surface, pose, template.skin)
             pose, guides = (closest, _of_marks(template, surface, {})) if distance < _EXACT else (pose, guides)
@@ -189,6 +192,39 @@ def _fit(template: Template, view: View, sight: Sight | None, marks: Mapping[int
     bent, residual = _bend(template, surface, pose, guides)
     strain = _strain(template, bent) if np.isfinite(residual) else np.inf
     return FittedTemplate(view, sight, marks, pose, bent, residual / pose[0], strain)
+
+
+def _posed(template: Template, view: View, marked: Guides, marks: Mapping[int, int]) -> tuple[Pose, Sight | None]:
+    """Return the pose that the marks determine, and the face that is seen in it.
+
+    If the marks nearly lie on one line, the face is sought in several rotations about it. If none is seen, the one in
+    which the template is nearest to the mesh is returned.
+    """
+    poses = _poses(marked)
+    for pose in poses:
+        if (sight := _seen_along(view, pose, marks)) is not None:
+            return pose, sight
+    if len(poses) == 1:
+        return poses[0], None
+    return min(poses, key=lambda pose: follow(template, view.surface, pose, template.skin[::2], 1)[0]), None
+
+
+def _poses(marked: Guides) -> list[Pose]:
+    """Return the pose of marked points, or several if they nearly lie on one line, the most upright one first."""
+    size, rotation, shift = similarity(marked.source, marked.target)
+    middle = marked.source.mean(axis=0)
+    _, extents, axes = linalg.svd(marked.source - middle)
+    if extents[1] > _SPREAD * extents[0]:
+        return [(size, rotation, shift)]
+    x, y, z = axes[0]
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    # Rodrigues: tr(R T(a)) is largest where its derivative, tr(R K) cos a + tr(R K K) sin a, is 0.
+    upright = np.arctan2(np.trace(rotation @ cross), -np.trace(rotation @ cross @ cross))
+    goal, poses = marked.target.mean(axis=0), []
+    for angle in upright + _TURNS:
+        turn = rotation @ (np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * cross @ cross)
+        poses.append((size, turn, np.asarray(goal - size * turn @ middle)))
+    return poses
 
 
 def _seen_along(view: View, pose: Pose, marks: Mapping[int, int]) -> Sight | None:
@@ -211,7 +247,7 @@ def _of_organs(template: Template, marked: Guides, pose: Pose, marks: Mapping[in
     """Guide eyes and mouth to between their marked corners, in the proportions of the template."""
     own, order = template.places[template.landmarks], list(marks)
     guides = Guides(*(values[:0] for values in vars(marked).values()))
-    for organ, corners in _ORGANS:
+    for organ, corners in ORGANS:
         if not set(corners) <= marks.keys():
             continue
         ends = marked.target[[order.index(corner) for corner in corners]]

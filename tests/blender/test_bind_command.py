@@ -3,23 +3,31 @@
 import bpy
 import numpy as np
 import pytest
+from mathutils import Matrix
 
 from facemime.blender.fcurves import curves_in
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import read_marks
 from facemime.blender.heads.new_heads import add_head
-from facemime.blender.meshes import read_landmarks, read_vertices
+from facemime.blender.meshes import read_landmarks, read_vertices, write_landmarks
+from facemime.blender.preview_scene import face_points
 from facemime.cli.bind import DOUBTFUL, parse_mark
-from facemime.cli.character import mark_points
+from facemime.cli.character import BoundCharacter, bind, mark_points
 from facemime.cli.console import REMEDIES, for_terminal
 from facemime.core.errors import FacemimeError, HeadError
-from facemime.core.face.landmarks import from_ibug, outer_eye_distance
-from facemime.core.heads.bind import MARKS, TOO_COARSE
+from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, from_ibug, outer_eye_distance
+from facemime.core.heads.bind import MARKS, TOO_COARSE, Binding
+from facemime.core.heads.built_in import load_head
+from facemime.core.puppet.job import HeadFile
 from facemime.core.takes.file import save_take
+from lab.training.data import DATA
 from tests.helpers.blenders import ROOT
 from tests.helpers.commands import run
 from tests.helpers.face_rigs import make_face_rig
 from tests.helpers.takes import performance
+
+CHARACTERS = DATA / "characters"
+LIDS = np.concatenate([EYE_RIGHT, EYE_LEFT])
 
 
 @pytest.fixture
@@ -72,6 +80,56 @@ def test_points_are_marked_by_vertex_or_by_position_in_the_scene(plain):
         mark_points(head, {8: 99999})
     with pytest.raises(HeadError, match=r"Point 8 is .* m away from Face"):
         mark_points(head, {8: (0.0, 9.0, 0.0)})
+
+
+@pytest.mark.parametrize(("hidden", "levels"), [(False, 0), (True, 0), (False, 1)])
+def test_positions_are_those_that_are_seen_in_the_pose(plain, hidden, levels):
+    head, _ = plain
+    landmarks = load_head().landmarks
+    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
+    bpy.context.scene.collection.objects.link(armature)
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    bone = armature.data.edit_bones.new("Head")
+    bone.head, bone.tail = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    head.vertex_groups.new(name="Head").add(range(len(head.data.vertices)), 1.0, "REPLACE")
+    if levels:
+        head.modifiers.new("Subdivision", "SUBSURF").levels = levels
+    head.modifiers.new("Armature", "ARMATURE").object = armature
+    moved = Matrix.Translation((0.0, 0.0, 4.0)) @ Matrix.Rotation(0.3, 4, "X")
+    armature.pose.bones["Head"].matrix = moved @ armature.data.bones["Head"].matrix_local
+    bpy.context.view_layer.update()
+    rest = np.array([tuple(vertex.co) for vertex in head.data.vertices])[landmarks]
+    turn = np.array(Matrix.Rotation(0.3, 3, "X"))
+    seen = (rest + np.array(head.location)) @ turn.T + [0.0, 0.0, 4.0]
+    head.hide_set(hidden)
+    shown = [modifier.show_viewport for modifier in head.modifiers]
+    numbers = (8, 30, 36, 45)
+    wanted = {number: tuple(seen[from_ibug([number])[0]]) for number in numbers}
+    assert mark_points(head, wanted) == head
+    assert read_marks(head.data) == {number: landmarks[from_ibug([number])[0]] for number in numbers}
+    write_landmarks(head.data, landmarks)
+    binding = Binding(landmarks, np.eye(3), 0.0, 0.1, False, False, 0.6, numbers)
+    printed = dict(parse_mark(word) for word in BoundCharacter(head, binding, []).doubt().split() if word[0].isdigit())
+    for number, place in wanted.items():
+        np.testing.assert_allclose(printed[number], place, atol=1e-4)
+    assert [modifier.show_viewport for modifier in head.modifiers] == shown
+    assert head.hide_get() == hidden
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(not CHARACTERS.is_dir(), reason="the characters of ../shared/data are not here")
+@pytest.mark.parametrize("name", ["rigged", "vroid", "scan"])
+def test_the_own_points_of_a_character_given_as_marks_keep_its_landmarks(name):
+    file = HeadFile(CHARACTERS / f"{name}.glb")
+    bound = bind(file, keys=None)
+    before = read_landmarks(bound.head)
+    places = face_points(bound.head)[before]
+    for numbers in (tuple(MARKS), (8, 30, 48, 54), (36, 39, 42, 45)):
+        again = bind(file, keys=None, marks={n: tuple(places[from_ibug([n])[0]].tolist()) for n in numbers})
+        after = face_points(again.head)[read_landmarks(again.head)]
+        np.testing.assert_allclose(after, places, atol=1e-6)
 
 
 @pytest.mark.parametrize("text", ["", "8", "8=", "5=3", "8=1,2", "8=nan,0,0", "8=1.5", "x=1"])
