@@ -230,7 +230,7 @@ def _under_others(places: FloatArray, faces: IntArray, landmarks: IntArray) -> N
 
 def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint: Paint | None) -> Binding:
     """Find the landmarks of a head, as `bind_landmarks` does, whatever piece of the mesh they lie on."""
-    # 1. to 3. Look, similarity and warps.
+    # 2. to 4. Look, similarity and warps.
     template = load_template()
     try:
         fitted = fit_template(template, places, faces, picked, paint)
@@ -243,12 +243,12 @@ def _bound(places: FloatArray, faces: IntArray, picked: Mapping[int, int], paint
     sight = fitted.sight
     landmarks = _nearest(template, surface, (bent, rotation), _MAX_DISTANCE * unit, sight is not None)
     graph = SurfaceGraph(surface.places, surface.faces)
-    # 4. Move landmarks to the rims of openings, and inner lips to their own side.
+    # 5. Move landmarks to the rims of openings, and inner lips to their own side.
     landmarks = onto_rims(graph, bent[template.landmarks], landmarks, unit * (_RIM_REACH_SEEN if sight else _RIM_REACH))
     landmarks = onto_corners(graph, surface.faces, landmarks, -rotation[:, 2])
     landmarks[list(picked)] = list(picked.values())
     landmarks = on_own_lip(graph, bent[template.landmarks], landmarks)
-    # 5. Symmetry, on a mesh that is its own mirror image.
+    # 6. Symmetry, on a mesh that is its own mirror image.
     mirror = mirror_of(surface.places, rotation, surface.places[landmarks], unit)
     if mirror is not None:
         landmarks = even_landmarks(landmarks, mirror, surface.places, bent[template.landmarks], picked)
