@@ -137,7 +137,7 @@ def test_unreadable_images_are_skipped_unless_all_are(tmp_path):
         cv2.imwrite(str(tmp_path / f"face{index}.png"), np.full((4, 4, 3), 50 * index, np.uint8))
     frames = played(PicturePlayer(tmp_path, rate=20.0))
     assert [int(frame.image[0, 0, 0]) for frame in frames] == [0, 100]
-    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.05])
+    assert [frame.time for frame in frames] == pytest.approx([0.0, 0.1])
 
 
 def test_a_take_is_played_without_images():

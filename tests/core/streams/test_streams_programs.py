@@ -370,7 +370,7 @@ def test_a_frontal_face_has_the_rotation_that_openseefaces_receivers_expect():
     [
         lambda d: d[:-1],
         lambda d: d + b"\0",
-        lambda d: d * 5,
+        lambda d: d * 17,
         lambda d: b"",
         lambda d: d[:28] + b"\7" + d[29:],
         lambda d: d[:73] + struct.pack("<f", float("nan")) + d[77:],
