@@ -59,7 +59,7 @@ def nearest(places: np.ndarray, place: np.ndarray) -> int:
     return int(np.linalg.norm(places - place, axis=1).argmin())
 
 
-@pytest.mark.parametrize("numbers", [EYES, (30, 48, 54, 8), tuple(MARKS)], ids=["eyes", "below", "all"])
+@pytest.mark.parametrize("numbers", first_of([EYES, (30, 48, 54, 8), tuple(MARKS)]), ids=["eyes", "below", "all"])
 @pytest.mark.parametrize(
     "mesh", first_of([(squat(), HEAD.faces), (VERTICES, HEAD.faces), (stylised(), HEAD.faces), scanned(), jane()])
 )
@@ -130,6 +130,7 @@ def test_marks_settle_the_doubt_about_their_own_landmarks_only():
     assert bind_landmarks(squat(), HEAD.faces, marked(HEAD.landmarks, binding.wanted)).sure
 
 
+@pytest.mark.thorough
 def test_the_corners_of_the_eyes_alone_lead_to_a_head_that_is_not_found_without():
     """They nearly lie on one line, about which the head may be rotated."""
     turn = euler_to_matrix(0.9, 0.7, 0.5)
