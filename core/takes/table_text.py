@@ -106,7 +106,10 @@ def read_decoded(path: Path) -> str:
     """
     if path.stat().st_size > _MAX_BYTES:
         raise DataError("it is larger than {max_bytes:,} MB", max_bytes=_MAX_BYTES >> 20)
-    text = _decoded(path.read_bytes())
+    try:
+        text = _decoded(path.read_bytes())
+    except UnicodeDecodeError as error:
+        raise DataError("it is not text") from error
     return text.rstrip("\0") + "\0" if text.endswith("\0") else text
 
 

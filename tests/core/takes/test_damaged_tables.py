@@ -204,3 +204,8 @@ def test_json_without_coefficients_is_refused(tmp_path, data):
 def test_a_table_with_other_names_is_refused_with_what_it_needs(read):
     with pytest.raises(SourceError, match="at least ten, named as ARKit"):
         read("time,CTRL_expressions_jawOpen,CTRL_expressions_browDownL\n0,0.1,0.2\n1,0.1,0.2\n")
+
+
+def test_a_file_that_is_no_text_is_refused_in_words(read):
+    with pytest.raises(SourceError, match="it is not text"):
+        read(bytes(range(256)) * 4)
