@@ -13,11 +13,11 @@ from ..blender.animation.sampling import Sampling
 from ..core.errors import Message, SourceError
 from ..core.puppet.sources import PacedSource
 from ..core.takes.face_models import FPS, read_moving_face
-from ..core.takes.face_parameters import MAX_FPS, MIN_FPS
 from ..core.takes.face_parameters import SUFFIXES as PARAMETERS
 from ..core.takes.file import SUFFIX, load_take, save_take
 from ..core.takes.from_video import PICTURES_SKIPPED, VIDEO_CUT
 from ..core.takes.numbered_meshes import SUFFIXES as MESHES
+from ..core.takes.rates import MAX_FPS, MIN_FPS
 from ..core.takes.recordings import SUFFIXES as RECORDINGS
 from ..core.takes.recordings import read_recording
 from ..core.takes.spreadsheet import to_csv

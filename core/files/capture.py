@@ -243,7 +243,7 @@ def pictures_in(folder: Path) -> list[Path]:
 
 
 def _places(pictures: Sequence[Path]) -> Sequence[int | None]:
-    """Return the place of each picture in its sequence by its number, or None for each if they are none."""
+    """Return the position of each picture in its numbered sequence, from 0; all None if the names are no sequence."""
     named = [match for path in pictures if (match := _LAST_NUMBER.fullmatch(path.stem))]
     if len(named) == len(pictures) > 1 and len({match[1] for match in named}) == 1:
         numbers = np.array([int(match[2]) for match in named])

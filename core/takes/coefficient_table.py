@@ -23,11 +23,12 @@ from ..files.reading import shown
 from ..files.writing import replacing
 from ..numeric.arrays import FloatArray
 from .curves import coefficient_take
+from .rates import unused_rate
 from .spreadsheet import from_csv
 from .table_angles import AUTOMATIC, EYES, HEAD, angle_of, eye_angles, head_angles, poses_of, unit_of_angles
 from .table_faces import columns_of_one_node, rows_of_one_face
 from .table_text import TextTable, parse_rows, read_table
-from .table_times import is_title_of_time, times_of_rows, unused_rate
+from .table_times import is_title_of_time, times_of_rows
 from .take import Take
 
 _MIN_NAMES = 10

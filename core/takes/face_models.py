@@ -36,7 +36,6 @@ from .face_parameters import (
     VERTICES,
     Arrays,
     FaceParameters,
-    check_rate,
     check_shapes,
     read_arrays,
     read_parameters_file,
@@ -44,6 +43,7 @@ from .face_parameters import (
 from .landmark_model import take_of_landmarks
 from .moving_mesh import TO_HEAD, MovingMesh, take_of_mesh
 from .numbered_meshes import numbered_files, read_numbered
+from .rates import check_rate
 from .take import Take
 
 FPS = 30.0

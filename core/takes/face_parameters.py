@@ -20,20 +20,12 @@ from ..files.pickles import arrays_of_pickle
 from ..files.reading import read_bytes, shown
 from ..numeric.arrays import FloatArray
 from .numbered_meshes import numbered_files
+from .rates import MAX_FPS, MIN_FPS
 
 SUFFIXES = (".npz", ".npy", ".pkl")
-MIN_FPS, MAX_FPS = 1.0, 1000.0
 Arrays = Mapping[str, NDArray[Any]]
 _MAX_FILE = 1 << 30
 _MAX_FRAMES = 1_000_000
-
-
-def check_rate(fps: float | None) -> None:
-    """Raise SourceError for a rate outside `MIN_FPS` to `MAX_FPS`."""
-    if fps is not None and not MIN_FPS <= fps <= MAX_FPS:
-        raise SourceError(
-            "The rate cannot be {fps:g}. Use one between {low:g} and {high:g}.", fps=fps, low=MIN_FPS, high=MAX_FPS
-        )
 
 
 EXPRESSION, IDENTITY, TRANSLATION, SCALE, VERTICES = "expression", "identity", "translation", "scale", "vertices"

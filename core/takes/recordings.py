@@ -24,13 +24,12 @@ from ..files.reading import as_list, as_number, as_text, parse_json, read_text
 from ..numeric.arrays import FloatArray
 from .coefficient_table import from_any_csv, take_of_table
 from .curves import CoefficientTrack, coefficients_of_keys, recorded
-from .face_parameters import check_rate
 from .openface import TITLES, read_openface
+from .rates import check_rate, unused_rate
 from .table_angles import AUTOMATIC
 from .table_json import table_of_json
 from .table_text import SUFFIXES as TABLES
 from .table_text import is_number, read_decoded, read_table
-from .table_times import unused_rate
 from .take import Take
 
 _RATE = 60.0

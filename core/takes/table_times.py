@@ -10,6 +10,7 @@ import numpy as np
 from ..errors import DataError, Message
 from ..files.reading import shown
 from ..numeric.arrays import FloatArray
+from .rates import unused_rate
 from .table_text import is_number
 from .table_timecodes import seconds_of_timecodes
 
@@ -68,13 +69,6 @@ def is_title_of_time(title: str) -> bool:
 def is_title_of_rate(title: str) -> bool:
     """Return whether a title is that of frames per second."""
     return bool(_FRAME_RATE.fullmatch(_letters(title)))
-
-
-def unused_rate(fps: float | None) -> list[str]:
-    """Return what to say about a rate that was given for a file with times of its own."""
-    if fps is None:
-        return []
-    return [Message("The file has times of its own, so the rate of {fps:g} frames per second was not used.", fps=fps)]
 
 
 def times_of_rows(

@@ -21,6 +21,7 @@ from facemime.core.heads.built_in import load_head
 from facemime.core.puppet.job import HeadFile
 from facemime.core.takes.file import save_take
 from lab.training.data import DATA
+from tests.helpers.bakes import armature
 from tests.helpers.blenders import ROOT
 from tests.helpers.commands import run
 from tests.helpers.face_rigs import make_face_rig
@@ -86,19 +87,13 @@ def test_points_are_marked_by_vertex_or_by_position_in_the_scene(plain):
 def test_positions_are_those_that_are_seen_in_the_pose(plain, hidden, levels):
     head, _ = plain
     landmarks = load_head().landmarks
-    armature = bpy.data.objects.new("Rig", bpy.data.armatures.new("Rig"))
-    bpy.context.scene.collection.objects.link(armature)
-    bpy.context.view_layer.objects.active = armature
-    bpy.ops.object.mode_set(mode="EDIT")
-    bone = armature.data.edit_bones.new("Head")
-    bone.head, bone.tail = (0.0, 0.0, 0.0), (0.0, 0.0, 1.0)
-    bpy.ops.object.mode_set(mode="OBJECT")
+    rig = armature("Head")
     head.vertex_groups.new(name="Head").add(range(len(head.data.vertices)), 1.0, "REPLACE")
     if levels:
         head.modifiers.new("Subdivision", "SUBSURF").levels = levels
-    head.modifiers.new("Armature", "ARMATURE").object = armature
+    head.modifiers.new("Armature", "ARMATURE").object = rig
     moved = Matrix.Translation((0.0, 0.0, 4.0)) @ Matrix.Rotation(0.3, 4, "X")
-    armature.pose.bones["Head"].matrix = moved @ armature.data.bones["Head"].matrix_local
+    rig.pose.bones["Head"].matrix = moved @ rig.data.bones["Head"].matrix_local
     bpy.context.view_layer.update()
     rest = np.array([tuple(vertex.co) for vertex in head.data.vertices])[landmarks]
     turn = np.array(Matrix.Rotation(0.3, 3, "X"))

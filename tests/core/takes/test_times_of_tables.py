@@ -64,26 +64,37 @@ def test_the_long_steps_of_a_sparse_table_are_kept(read, times):
     np.testing.assert_allclose(read(times, "time (s)").times, times)
 
 
+TIMES = {
+    "seconds": lambda i: f"{i / 60:.4f}",
+    "milliseconds": lambda i: f"{1000 * i / 60:.1f}",
+    "nanoseconds": lambda i: f"{i * 16666667}",
+    "since 1970": lambda i: f"{1700000000 + i / 60:.4f}",
+    "clock": lambda i: f"00:00:{i / 60:06.3f}",
+    "date": lambda i: f"2024-05-01 10:00:{i / 60:06.3f}",
+    "written date": lambda i: f"01/05/2024, 10:00:{i / 60:06.3f}",
+    "frames": lambda i: f"10:20:{i // 60:02d}:{i % 60:02d}",
+}
+"""How times of 60 frames per second are written."""
 TITLES = {
-    "datetime": lambda i: f"2024-05-01 10:00:{i / 60:06.3f}",
-    "Date Time": lambda i: f"01/05/2024, 10:00:{i / 60:06.3f}",
-    "unix_timestamp": lambda i: f"{1700000000 + i / 60:.4f}",
-    "frame_time": lambda i: f"{i / 60:.4f}",
-    "frame_timestamp_ms": lambda i: f"{1000 * i / 60:.0f}",
-    "Time (HH:MM:SS)": lambda i: f"00:00:{i / 60:06.3f}",
-    "Recording Time [hh:mm:ss.mmm]": lambda i: f"00:00:{i / 60:06.3f}",
-    "video_time_ms": lambda i: f"{i * 1000 / 60:.1f}",
-    "pts_time": lambda i: f"{i / 60:.4f}",
-    "captureTimestampNs": lambda i: f"{i * 16666667}",
-    "timeSinceStart": lambda i: f"{i / 60:.4f}",
-    "Timecode (60 fps)": lambda i: f"10:20:{i // 60:02d}:{i % 60:02d}",
-    "SMPTE Timecode": lambda i: f"10:20:{i // 60:02d}:{i % 60:02d}",
+    "datetime": "date",
+    "Date Time": "written date",
+    "unix_timestamp": "since 1970",
+    "frame_time": "seconds",
+    "frame_timestamp_ms": "milliseconds",
+    "Time (HH:MM:SS)": "clock",
+    "Recording Time [hh:mm:ss.mmm]": "clock",
+    "video_time_ms": "milliseconds",
+    "pts_time": "seconds",
+    "captureTimestampNs": "nanoseconds",
+    "timeSinceStart": "seconds",
+    "Timecode (60 fps)": "frames",
+    "SMPTE Timecode": "frames",
 }
 
 
 @pytest.mark.parametrize("title", TITLES)
 def test_times_are_found_under_the_titles_of_other_programs(read, title):
-    take = read([TITLES[title](i).replace(",", "") for i in range(90)], title)
+    take = read([TIMES[TITLES[title]](i).replace(",", "") for i in range(90)], title)
     np.testing.assert_allclose(take.times, np.arange(90) / 60, atol=2e-3)
     assert not notes(take)
 
