@@ -152,7 +152,7 @@ def main() -> int:
     take = track_video(SAMPLE, FaceTracker.load())
     bound, moved, made, pairs, rims, tiles = {}, {}, {}, {}, {}, []
     for title, head, true in _heads(arguments.data, arguments.menpo3d, arguments.folder):
-        rig = read_rig(head.obj)
+        rig, rims[title] = read_rig(head.obj), 100 * rim_distance(head.obj)  # before the head has an animation
         bound[title], moved[title] = head, _move(head.obj, rig, take)
         own = own_keys(head.obj) if true is None else true
         made[title], pair = made_keys(head.obj, rig, own)
@@ -162,7 +162,6 @@ def main() -> int:
             made[f"{title}, its own keys"] = measured_keys(rig, in_order(rig, own))
         if arguments.figure is not None and true is not None:
             tiles.append(_row(head.obj, take, title))
-        rims[title] = 100 * rim_distance(head.obj)
         print(title, file=sys.stderr)
     if tiles:
         cv2.imwrite(str(arguments.figure), np.vstack(tiles), [cv2.IMWRITE_JPEG_QUALITY, 88])

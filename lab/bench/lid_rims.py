@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
 import bpy
 import cv2
 import numpy as np
@@ -27,18 +31,21 @@ def rim_distance(head: bpy.types.Object) -> float:
     """Return the largest distance of a lid's landmark from the rim of an eye, in outer-eye distances; NaN if there are
     no eyes.
 
-    The rims are those of the eyes in a picture from in front. The materials of the head and of its parts are replaced.
+    The rims are those of the eyes in a picture from in front.
     """
     scene = bpy.context.scene
-    colours = [_material(level) for level in (0.0, 1.0)]
-    shown = [_paint(obj, read_kinds(mesh_of(obj)), colours) for obj in (head, *objects_of(head))]
+    kinds = {obj: read_kinds(mesh_of(obj)) for obj in (head, *objects_of(head))}
     for key, obj in parts_of(head).items():
         kind = Part.EYE_RIGHT if key.startswith("eye") else Part.ON_HEAD
-        shown.append(_paint(obj, np.full(len(mesh_of(obj).vertices), kind), colours))
-    if not any(shown):
+        kinds[obj] = np.full(len(mesh_of(obj).vertices), kind)
+    if not any(np.isin(kind, _EYES).any() for kind in kinds.values()):
         return float("nan")
-    setup_preview(scene, head, (_SIDE, _SIDE))
-    (picture,) = render_frames(scene, [float(scene.frame_current)], (_SIDE, _SIDE))
+    with ExitStack() as stack:
+        colours = [_material(level) for level in (0.0, 1.0)]
+        for obj, kind in kinds.items():
+            stack.enter_context(_painted(mesh_of(obj), kind, colours))
+        setup_preview(scene, head, (_SIDE, _SIDE))
+        (picture,) = render_frames(scene, [float(scene.frame_current)], (_SIDE, _SIDE))
     eyes = (cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY) > _BRIGHT).astype(np.uint8)
     background = np.all(picture == picture[0, 0], axis=2)
     eyes[background] = 0
@@ -58,15 +65,22 @@ def _material(level: float) -> bpy.types.Material:
     return material
 
 
-def _paint(obj: bpy.types.Object, kinds: NDArray[np.integer], colours: list[bpy.types.Material]) -> bool:
-    """Show the eyes of a mesh, of the parts `kinds` (V,), in the second colour and the rest in the first.
+@contextmanager
+def _painted(mesh: bpy.types.Mesh, kinds: NDArray[np.integer], colours: list[bpy.types.Material]) -> Iterator[None]:
+    """Show the eyes of a mesh, of the parts `kinds` (V,), in the second colour and the rest in the first."""
+    own, numbers = list(mesh.materials), np.zeros(len(mesh.polygons), dtype=np.int32)
+    mesh.polygons.foreach_get("material_index", numbers)
+    first = np.array([polygon.vertices[0] for polygon in mesh.polygons], dtype=np.intp)
+    _assign(mesh, colours, np.isin(kinds[first], _EYES))
+    try:
+        yield
+    finally:
+        _assign(mesh, own, numbers)
 
-    Returns whether it has any.
-    """
-    mesh, eye = mesh_of(obj), np.isin(kinds, _EYES)
+
+def _assign(mesh: bpy.types.Mesh, materials: list[bpy.types.Material | None], numbers: NDArray[Any]) -> None:
+    """Give a mesh materials, and each of its polygons one of them, (F,)."""
     mesh.materials.clear()
-    for material in colours:
+    for material in materials:
         mesh.materials.append(material)
-    for polygon in mesh.polygons:
-        polygon.material_index = int(eye[polygon.vertices[0]])
-    return bool(eye.any())
+    mesh.polygons.foreach_set("material_index", numbers.astype(np.int32))
