@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError, Message
 from ...core.heads.bind import Binding, bind_landmarks
 from ...core.heads.checks import EYES_SHUT, Finding, check_head
+from ...core.heads.landmark_vertices import TOO_COARSE
 from ...core.heads.portrait import Paint
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import Part, Skin
@@ -133,7 +134,7 @@ def search_head(obj: bpy.types.Object | None) -> Work[Binding]:
     try:
         binding, along, skin = yield from _found(obj, others, paint, marks, axes)
     except HeadError as error:
-        if names := ", ".join(generating_modifiers(obj)):
+        if names := ", ".join(generating_modifiers(obj, coarse=str(error) == TOO_COARSE)):
             raise HeadError(
                 "No face was found on {name} without its modifiers: {names}. Apply them, and find the face again.",
                 name=obj.name,

@@ -28,8 +28,10 @@ _FEW = 0.01
 """Largest share of the vertices that can be astray; more are a part of the mesh."""
 _ONE_SIDED = 0.98
 """Share of the vertices on one side of a mirror above which the mesh is only half of what is seen."""
-_HARMLESS = {"ARMATURE", "SUBSURF", "MULTIRES", "MASK", "TRIANGULATE", "WELD", "EDGE_SPLIT", "BEVEL", "SOLIDIFY"}
+_HARMLESS = {"ARMATURE", "MASK", "TRIANGULATE", "WELD", "EDGE_SPLIT", "BEVEL", "SOLIDIFY"}
 """Types of modifiers that add no part of a face that the mesh lacks."""
+_SUBDIVIDING = {"SUBSURF", "MULTIRES"}
+"""Types of modifiers that add vertices to a face that is in the mesh."""
 
 
 _SELECTIONS = (".select_vert", ".select_edge", ".select_poly")
@@ -53,9 +55,10 @@ def require_sound(obj: bpy.types.Object) -> None:
             )
 
 
-def generating_modifiers(obj: bpy.types.Object) -> list[str]:
-    """Return the names of the modifiers that may add a face to what is in the mesh `obj`."""
-    names = [modifier.name for modifier in _shown_modifiers(obj) if modifier.type not in _HARMLESS]
+def generating_modifiers(obj: bpy.types.Object, *, coarse: bool) -> list[str]:
+    """Return the names of the modifiers that may add a face to what is in the mesh `obj`, or vertices to a coarse one."""
+    harmless = _HARMLESS if coarse else _HARMLESS | _SUBDIVIDING
+    names = [modifier.name for modifier in _shown_modifiers(obj) if modifier.type not in harmless]
     final = obj.evaluated_get(evaluated_depsgraph(bpy.context)) if names else obj
     return names if names and len(mesh_of(final).vertices) != len(mesh_of(obj).vertices) else []
 

@@ -130,3 +130,17 @@ def test_a_half_head_that_nodes_complete_names_their_modifier(head):
     head.modifiers.new("Mirrored by Nodes", "NODES").node_group = nodes
     with pytest.raises(HeadError, match=r"without its modifiers: Mirrored by Nodes\. Apply them"):
         bind_character(head)
+
+
+def test_a_coarse_head_names_the_modifier_that_subdivides_it(head):
+    head, places = head
+    head.modifiers.new("Fewer", "DECIMATE").ratio = 0.1
+    bpy.context.view_layer.objects.active = head
+    bpy.ops.object.modifier_apply(modifier="Fewer")
+    with pytest.raises(HeadError, match="too coarse"):
+        bind_character(head)
+    head.modifiers.new("Smooth Face", "SUBSURF")
+    with pytest.raises(HeadError, match=r"without its modifiers: Smooth Face\. Apply them"):
+        bind_character(head)
+    bpy.ops.object.modifier_apply(modifier="Smooth Face")
+    check_found(head, places)
