@@ -177,7 +177,7 @@ def test_a_copy_of_her_file_elsewhere_looks_as_she_does(tmp_path):
     assert image_of(objects[1]).packed_file is not None, "a saved file does not need the extension"
 
 
-@pytest.mark.parametrize("brightness", [1.0, 1.6])
+@pytest.mark.parametrize("brightness", [1.6, pytest.param(1.0, marks=pytest.mark.thorough)])
 def test_paint_around_the_eyes_of_a_head_becomes_skin_and_its_file_stays_as_it_is(tmp_path, brightness):
     painted = np.clip(cv2.imread(str(FOLDER / "Jane.jpg")).astype(np.float64) * brightness, 0, 255).astype(np.uint8)
     painted = cv2.resize(painted, (1024, 1024), interpolation=cv2.INTER_AREA)

@@ -193,7 +193,7 @@ def test_a_mesh_that_cannot_be_read_in_edit_mode_is_reported():
         bpy.ops.facemime.check_head()
 
 
-@pytest.mark.parametrize("levels", [1, 2])
+@pytest.mark.parametrize("levels", [1, pytest.param(2, marks=pytest.mark.thorough)])
 def test_a_subdivided_suzanne_gets_eyes_and_mouth_where_their_corners_are_marked(levels):
     bpy.ops.mesh.primitive_monkey_add()
     suzanne = bpy.context.object

@@ -54,7 +54,7 @@ def test_the_example_of_the_package_runs(files):
     run(doctest.DocTestParser().get_doctest(facemime.__doc__, {}, "facemime", None, 0))
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", [pytest.param(PAGES[0], marks=pytest.mark.thorough), PAGES[1]])
 def test_the_examples_of_a_page_run(page, files):
     text = (ROOT / page).read_text(encoding="utf-8").replace("```", "")
     found = doctest.DocTestParser().get_doctest(text, {}, page, None, 0)

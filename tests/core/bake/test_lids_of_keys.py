@@ -44,8 +44,9 @@ def both_by_one(rig, share: float) -> dict[str, np.ndarray]:
     return {"Blink": sum(blinks(rig, share).values())}
 
 
-@settings(deadline=None, max_examples=4)
-@given(share=st.floats(0.75, 0.95), table=st.sampled_from([TABLE, BOTH]))
+@pytest.mark.parametrize("table", [BOTH, pytest.param(TABLE, marks=pytest.mark.thorough)])
+@settings(deadline=None, max_examples=2)
+@given(share=st.floats(0.75, 0.95))
 def test_keys_that_stop_short_are_taken_further_until_the_eyes_are_shut(rig, share, table):
     keys = blinks(rig, share) if table is TABLE else both_by_one(rig, share)
     found = factors(rig, table, keys)
@@ -53,7 +54,7 @@ def test_keys_that_stop_short_are_taken_further_until_the_eyes_are_shut(rig, sha
     assert share * found[0] == pytest.approx(1.0, abs=0.07)
 
 
-@pytest.mark.parametrize("share", [1.0, 1.1, 1.3])
+@pytest.mark.parametrize("share", [1.0, *(pytest.param(share, marks=pytest.mark.thorough) for share in (1.1, 1.3))])
 def test_keys_that_shut_the_eyes_are_left(rig, share):
     np.testing.assert_array_equal(factors(rig, TABLE, blinks(rig, share)), 1.0)
     np.testing.assert_array_equal(factors(rig, BOTH, both_by_one(rig, share)), 1.0)
