@@ -56,7 +56,7 @@ def require_sound(obj: bpy.types.Object) -> None:
 
 
 def generating_modifiers(obj: bpy.types.Object, *, coarse: bool) -> list[str]:
-    """Return the names of the modifiers that may add a face to what is in the mesh `obj`, or vertices to a coarse one."""
+    """Return the names of modifiers that may add a face to what is in the mesh `obj`, or vertices if it is `coarse`."""
     harmless = _HARMLESS if coarse else _HARMLESS | _SUBDIVIDING
     names = [modifier.name for modifier in _shown_modifiers(obj) if modifier.type not in harmless]
     final = obj.evaluated_get(evaluated_depsgraph(bpy.context)) if names else obj
