@@ -61,8 +61,8 @@ from .parts import (
 from .refining import on_brows, on_lids
 from .soundness import generating_modifiers, require_sound, stray_vertices
 
-_MAX_CANDIDATES = 3
-"""Meshes of a character in which a face is sought."""
+_MAX_LOOSE = 3
+"""Loose meshes beside a character in which a face is sought."""
 _UPRIGHT = np.cos(np.radians(20.0))
 """Cosine of the angle to -Y above which a mesh is rotated; a smaller angle is the pose of the head."""
 _ROTATIONS = "rotation_euler", "rotation_quaternion", "rotation_axis_angle"
@@ -89,7 +89,8 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     """Find the face of the character to which `obj` belongs, and bind its landmarks as `search_head` does.
 
     A mesh with marked points, or the head that is bound already, is taken; otherwise the most likely mesh. Returns the
-    mesh with the skin of the face, and the binding. Raises HeadError as `search_head` does, for the most likely mesh.
+    mesh with the skin of the face, and the binding. Raises HeadError as `search_head` does, for `obj` or the most
+    likely mesh.
     """
     given = obj = require_character(obj)
     if len(bound := heads_of([obj])) == 1:
@@ -102,15 +103,14 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     known = marked or [member for member in family if is_head(member)]
     if known:
         return known[0], (yield from search_head(known[0]))
-    failure: HeadError | None = None
-    likely = without_copies(face_candidates(obj))[:_MAX_CANDIDATES]
-    for candidate in dict.fromkeys([*likely, *loose_companions(obj)[:_MAX_CANDIDATES]]):
+    failures: dict[bpy.types.Object, HeadError] = {}
+    likely = without_copies(face_candidates(obj))
+    for candidate in dict.fromkeys([*likely, *loose_companions(obj)[:_MAX_LOOSE]]):
         try:
             return candidate, (yield from search_head(candidate))
         except HeadError as error:
-            failure = failure or error
-    assert failure is not None
-    raise failure
+            failures[candidate] = error
+    raise failures.get(given) or next(iter(failures.values()))
 
 
 def search_head(obj: bpy.types.Object | None) -> Work[Binding]:

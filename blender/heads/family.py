@@ -17,7 +17,7 @@ from ...core.errors import HeadError
 from ...core.face.landmarks import N_LANDMARKS
 from ...core.heads.key_map import KeyMap
 from ...core.heads.key_presets import best_preset
-from ...core.heads.part_names import find_bones, named_part, names_body, names_skin
+from ...core.heads.part_names import find_bones, named_part, names_body, names_skin, names_whole_body
 from ...core.numeric.arrays import FloatArray
 from ..characters import ancestors, box_of, head_of, objects_of
 from ..meshes import can_be_driven, is_head, key_names, key_offsets, key_points, keys_of, mesh_of, rest_bones
@@ -28,6 +28,11 @@ _LARGEST_PART = 2.0
 """Size of a loose part of a head, such as hair, relative to the largest extent of the head."""
 _FEWEST = 12
 """Fewest vertices of a loose mesh that counts as a part by its position alone; the default cube has 8."""
+_MOST_LIKELY = 3
+"""Meshes of a character in which a face is sought, besides a body."""
+_CHOSEN_BODY = 1.75
+"""Score of a mesh that is named after the body if the user chose it: between those of a mesh that a name or keys tell
+to be the face, and of one whose name says nothing."""
 _STILL = 1e-6
 """Displacement, as a fraction of the size of a mesh, below which a vertex is at rest."""
 
@@ -83,12 +88,17 @@ def _all_levels(obj: bpy.types.Object) -> list[bpy.types.Object]:
 def face_candidates(obj: bpy.types.Object) -> list[bpy.types.Object]:
     """Return the meshes of the character of `obj` that may have the skin of its face, the most likely first.
 
-    `obj` is a mesh, an armature or an empty above.
+    `obj` is a mesh, an armature or an empty above. A mesh that is named after the body comes last, as its character
+    may have a head of its own; one that is `obj` itself comes before what no name explains.
     """
     family = family_of(obj)
     scores = {other: _face_score(other) + 0.5 * (other == obj) for other in family}
+    bodies = [other for other in family if scores[other] <= 0.0 and names_whole_body(other.name)]
+    if obj in bodies:
+        bodies.remove(obj)
+        scores[obj] = _CHOSEN_BODY
     likely = sorted((other for other in family if scores[other] > 0.0), key=lambda other: -scores[other])
-    return likely or ([obj] if obj.type == "MESH" else family[:1])
+    return [*likely[:_MOST_LIKELY], *bodies[:1]] or ([obj] if obj.type == "MESH" else family[:1])
 
 
 def known_keys(obj: bpy.types.Object) -> KeyMap | None:

@@ -51,8 +51,11 @@ _LASH = re.compile(r"lash|睫|まつ")
 _NATIVE_BROW = re.compile(r"眉")
 _TONGUE = _words(r"tongue")
 _TEETH = _words(r"teeth", r"tooth", r"gums?", r"dent(?:al|ure|ition)", r"incisor", r"molar", r"fang", r"canine_teeth")
+_HAIR = r"hair(?:_?(?:band|line|cap|card|cut|style|do|piece|front|back|side|strand|tie|pin|clip|bow)s?)?"
+_HAIRS = _words(_HAIR)
+_NATIVE_HAIR = re.compile(r"髪|头发|頭髮")
 _ON_HEAD = _words(
-    r"hair(?:_?(?:band|line|cap|card|cut|style|do|piece|front|back|side|strand|tie|pin|clip|bow)s?)?",
+    _HAIR,
     r"(?:pony|pig|twin|side)_tail",
     r"braid",
     r"(?:fringe|bangs?|bun|ahoge|mohawk|afro|dreads?|wig)",
@@ -105,6 +108,8 @@ _BODY = _words(
     r"outfit_(?:top|bottom|footwear)",
     r"(?:top|bottom)s?",
 )
+_WHOLE = _words(r"(?:body|bodies)")
+_NATIVE_WHOLE = re.compile(r"身体|体$")
 _NATIVE_BODY = re.compile(r"身体|体$|服|衣|靴|手袋|スカート|ズボン")
 _LEVEL = re.compile(r"[ _.-]?(?:(?<![A-Za-z])lod|(?<![A-Z])LOD|Lod)[ _.-]?(\d{1,2})(?!\d)")
 """The level of detail in a name: `Head_LOD1`, `head_lod1_mesh`, `LOD 1`; Blender's copies have numbers of 3 digits."""
@@ -142,6 +147,11 @@ def names_brow(name: str) -> bool:
     return bool(_BROW.search(spaced(name)) or _NATIVE_BROW.search(name)) and not _LASH.search(spaced(name) + name)
 
 
+def names_hair(names: Sequence[str]) -> bool:
+    """Return whether one of the names is that of hair."""
+    return any(_HAIRS.search(spaced(name)) or _NATIVE_HAIR.search(name) for name in names)
+
+
 def names_upper(names: Sequence[str]) -> bool:
     """Return whether a name says that teeth are those of the upper row."""
     return any(_UPPER.search(spaced(name)) for name in names)
@@ -162,6 +172,11 @@ def names_body(name: str) -> bool:
     """Return whether a name is that of a body or its clothes; a "mouth sock" is not."""
     text = spaced(name)
     return bool(_BODY.search(text) or _NATIVE_BODY.search(name)) and not (_FACE.search(text) or parts_in(name))
+
+
+def names_whole_body(name: str) -> bool:
+    """Return whether a name is that of a body, which may have a head, rather than of a limb or of clothes."""
+    return names_body(name) and bool(_WHOLE.search(spaced(name)) or _NATIVE_WHOLE.search(name))
 
 
 def level_of_detail(name: str) -> tuple[str, int] | None:

@@ -19,7 +19,7 @@ from ..face.landmarks import (
 )
 from ..mesh.surface import SurfaceGraph
 from ..numeric.arrays import FloatArray, IntArray
-from .part_names import named_part, names_inside, names_upper
+from .part_names import named_part, names_hair, names_inside, names_upper
 from .rig import Part
 from .tongues import fills_arch
 
@@ -31,6 +31,9 @@ _BEYOND = 0.08
 """Outer-eye distances by which gums of both rows reach above and below where the rows meet; teeth overlap by less."""
 _TALLEST = 0.7
 """Largest height of teeth and gums of both rows together, in outer-eye distances; that of ICT-FaceKit is 0.54."""
+_TONGUE = 0.4
+"""Largest height of a tongue in outer-eye distances. Those of nine heads are 0.09 to 0.32, gums and teeth of both rows
+of ICT-FaceKit 0.54."""
 _HIGHER = 0.03
 """Outer-eye distances by which the middle of a piece in the mouth is higher than that of another row."""
 _MOUTH = (0.75, 0.45)
@@ -42,7 +45,11 @@ _FLAT = 0.2
 """Median distance from the rim of an eye's opening, in its widths, within which a piece as wide as the opening is no
 eye but lashes, the edge of the lids or a film of tears. Eyeballs reach 0.5, their front halves 0.3."""
 _WIDE = 0.75
-"""Share of the opening's width above which a piece may be one of these, rather than an iris or a cornea."""
+"""Share of the opening's width above which a piece may be one of these, rather than an iris or a cornea; hair is no
+lash or brow if it is narrower."""
+_ALONG = 0.15
+"""Distance, in outer-eye distances, from the rim of an eye or the middle of a brow within which lashes and brows lie:
+on six characters 0.02 to 0.13. Pieces of a fringe are as near, but narrower."""
 _CLOSE = 0.12
 """Distance from the skin of the face, in outer-eye distances, within which a piece rides on it."""
 
@@ -95,6 +102,8 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
             parts.append(named if named == Part.TEETH_LOWER else Part.TEETH_UPPER)
         elif named == Part.EYE_LEFT or (named is None and _is_eye(piece, points)):
             parts.append(Part.EYE_LEFT if piece.vertices[:, 0].mean() > middle[0] else Part.EYE_RIGHT)
+        elif named == Part.ON_HEAD and names_hair(piece.names) and _is_lash_or_brow(piece, points, unit):
+            parts.append(Part.ON_SKIN)
         elif named is not None:
             parts.append(named)
         else:
@@ -135,8 +144,11 @@ def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: Flo
             unsure.remove(i)
     if not unsure:
         return
-    heights = np.array([middles[i] for i in unsure])
     slit = float(np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)[1])
+    if len(upper) == 1 and _is_lone_tongue(pieces[upper[0]].vertices, slit, unit):
+        parts[upper[0]] = Part.TEETH_LOWER
+        return
+    heights = np.array([middles[i] for i in unsure])
     order = np.sort(heights)
     gaps = np.diff(order)
     border = slit
@@ -152,6 +164,16 @@ def _divide_teeth(pieces: Sequence[Piece], parts: list[Part | None], points: Flo
             parts[i] = Part.TEETH_LOWER
 
 
+def _is_lone_tongue(vertices: FloatArray, slit: float, unit: float) -> bool:
+    """Return whether the only piece (N, 3) in a mouth is a tongue, rather than both rows of teeth or a palate.
+
+    `slit` is the height between the lips.
+    """
+    low, high = float(vertices[:, 1].min()), float(vertices[:, 1].max())
+    at_floor = 0.5 * (low + high) > slit - _HIGHER * unit
+    return at_floor and high - low < _TONGUE * unit and fills_arch(vertices, unit)
+
+
 def _is_eye(piece: Piece, points: FloatArray) -> bool:
     """Return whether a piece covers the middle of an eye's opening and is about as large."""
     low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
@@ -163,17 +185,33 @@ def _is_eye(piece: Piece, points: FloatArray) -> bool:
         covers = (low[:2] < middle[:2]).all() and (high[:2] > middle[:2]).all()
         behind = -0.4 * width < low[2] - middle[2] < 1.2 * width
         if near and covers and behind and _EYE_SIZE[0] < size < _EYE_SIZE[1] * 1.6:
-            return size < _WIDE or _from_rim(piece.vertices, rim) > _FLAT * width
+            return size < _WIDE or float(np.median(_from_line(piece.vertices, _closed(rim)))) > _FLAT * width
     return False
 
 
-def _from_rim(vertices: FloatArray, rim: FloatArray) -> float:
-    """Median distance of vertices (N, 3) from the closed line through the landmarks (6, 3) of an eye."""
-    ends = np.roll(rim, -1, axis=0)
-    along = ends - rim
-    away = np.asarray(vertices)[:, None] - rim
+def _is_lash_or_brow(piece: Piece, points: FloatArray, unit: float) -> bool:
+    """Return whether a piece of hair lies along the rim of an eye or along a brow, rather than hangs in front of it."""
+    if not piece.moving:
+        return False
+    places = np.asarray(points)
+    lines = [_closed(places[lids]) for lids in (EYE_RIGHT, EYE_LEFT)] + [places[BROWS[:5]], places[BROWS[5:]]]
+    return any(
+        np.ptp(piece.vertices[:, 0]) > _WIDE * np.ptp(line[:, 0])
+        and np.quantile(_from_line(piece.vertices, line), 0.95) < _ALONG * unit
+        for line in lines
+    )
+
+
+def _closed(rim: FloatArray) -> FloatArray:
+    return np.concatenate([rim, rim[:1]])
+
+
+def _from_line(vertices: FloatArray, line: FloatArray) -> FloatArray:
+    """Distances of vertices (N, 3) from the line through points (P, 3), (N,)."""
+    starts, along = line[:-1], np.diff(line, axis=0)
+    away = np.asarray(vertices)[:, None] - starts
     share = np.clip((away * along).sum(axis=2) / np.maximum(np.square(along).sum(axis=1), 1e-30), 0.0, 1.0)
-    return float(np.median(np.linalg.norm(away - share[..., None] * along, axis=2).min(axis=1)))
+    return np.asarray(np.linalg.norm(away - share[..., None] * along, axis=2).min(axis=1))
 
 
 def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:

@@ -19,8 +19,9 @@ _WIDTH = 0.15
 _MIDDLE = 0.4
 """Share of the width, about the middle, that is searched for vertices in the rear half. It is empty in rows of teeth
 and gums."""
-_FILLED = 0.2
-"""Share of the rear half's vertices that a tongue has there."""
+_FILLED = 0.1
+"""Share of the rear half's vertices that a tongue has there: on twelve heads of nine makers 0.17 to 0.46, rows of teeth
+0."""
 _REACH = 0.2
 """Distance in outer-eye distances from the foremost lip to the tip of a tongue that is out."""
 _BELOW = 0.01

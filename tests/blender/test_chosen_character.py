@@ -52,6 +52,20 @@ def test_every_object_of_a_character_leads_to_its_face(character, start):
     assert FACEMIME_OT_bind_landmarks.poll(bpy.context)
 
 
+@pytest.mark.parametrize("start", ["armature", "body", "head"])
+def test_a_face_on_a_mesh_that_is_named_after_the_body_is_found(character, start):
+    character["head"].name, character["body"].name = "Hero_Body", "Hero_Robe"
+    assert bind_character(character[start])[0] == character["head"]
+
+
+def test_a_head_beside_a_body_comes_first_unless_nothing_says_that_it_is_one(character):
+    character["body"].name = "Hero_Body"
+    assert face_candidates(character["body"])[:2] == [character["head"], character["body"]]
+    character["head"].name = "Hero_Mesh_7"
+    assert face_candidates(character["body"])[0] == character["body"]
+    assert face_candidates(character["armature"])[0] == character["head"]
+
+
 def test_the_selection_of_an_importer_leads_to_the_face(character):
     select(*character.values(), active=character["armature"])
     assert bpy.ops.facemime.bind_landmarks() == {"FINISHED"}
