@@ -154,7 +154,7 @@ def set_shading(scene: bpy.types.Scene, folds: float) -> None:
 def _show_in_renders(scene: bpy.types.Scene, head: bpy.types.Object) -> None:
     """Let renders show a head with its parts, even if they are hidden or in an excluded collection.
 
-    Other meshes that are disabled in both viewports and renders stay hidden: they are collision shapes or other outfits.
+    Other meshes that are disabled in viewports and in renders stay so, as collision shapes and other outfits are.
     """
     parts = [child for child in head.children if PART_PROPERTY in child]
     shown = [obj for obj in objects_of(head) if not (obj.hide_viewport and obj.hide_render)]

@@ -30,8 +30,14 @@ such as those at the end of a lash, follow the nearest such vertex of their piec
 _JOINED = 1e-3
 """Distance from the skin, in outer-eye distances, below which a piece is joined to it."""
 _LASH = 0.03
-"""Distance from the rim of a lid, in outer-eye distances, within which the lashes of a piece are rooted. A line of
-lashes keeps its width when the lid shuts, while the skin beneath it stretches."""
+"""Distance from the rim of a lid, in outer-eye distances, within which lashes are rooted in any case. A line of lashes
+keeps its width when the lid shuts, while the skin beneath it stretches."""
+_OFF_RIM = 0.08
+"""Largest distance of the roots of lashes from that rim. MakeHuman's lie in rows that begin 0.002 to 0.064 away."""
+_ROW = 0.02
+"""Distance beyond its nearest vertex within which a row of lashes has its roots."""
+_STEPS = 4
+"""Parts into which each edge of a rim is divided to find what reaches it."""
 _LASHES = 0.25
 """Distance from that rim, in outer-eye distances, within which all lashes of a piece lie."""
 _SMALL = 0.1
@@ -273,8 +279,8 @@ class PartDriver:
     def _glued(self, rig: HeadRig, deformed: HeadRig) -> Glue:
         points = self.rest[self._riding]
         sides = np.asarray(deformed.region_weights).argmax(axis=0)
-        rims = _rims(deformed)
-        roots = self._roots(rig, points, self._skin_rest[rims], self._behind(points, deformed), sides)
+        rims, along = _rims(deformed)
+        roots = self._roots(rig, points, along, self._behind(points, deformed), sides)
         return Glue(points, roots, deformed.vertices, sides, rig.eye_distance, rims)
 
     def _behind(self, points: FloatArray, deformed: HeadRig) -> NDArray[np.bool_]:
@@ -287,13 +293,13 @@ class PartDriver:
         return np.asarray((squared[:, 0] > (_ON_SKIN * unit) ** 2) & (depth > 0.0))
 
     def _roots(
-        self, rig: HeadRig, points: FloatArray, rims: NDArray[np.float32], behind: NDArray[np.bool_], sides: IntArray
+        self, rig: HeadRig, points: FloatArray, rims: FloatArray, behind: NDArray[np.bool_], sides: IntArray
     ) -> Roots:
         """Find what holds `points` (N, 3): each is rooted itself on or `behind` (N,) the skin, or at the nearest such
         vertex of its piece.
 
-        A piece that reaches the rim of a lid, at `rims` (M, 3), is rooted there alone. What is behind the skin is a
-        wall, and on the one of the `sides` (U,) of the skin to which it is joined, along its edges.
+        A piece that reaches the rim of a lid, all along which are `rims` (M, 3), is rooted there alone. What is behind
+        the skin is a wall, and on the one of the `sides` (U,) of the skin to which it is joined, along its edges.
         """
         unit = rig.eye_distance
         nearest, squared = NearestPoints(self._skin_rest).query(points)
@@ -306,8 +312,8 @@ class PartDriver:
             within = np.flatnonzero(piece == number)
             reach = to_rim[within]
             small = np.ptp(points[within], axis=0).max() <= _SMALL * unit
-            if reach.min() <= _LASH * unit and reach.max() <= _LASHES * unit:
-                near = within[[int(reach.argmin())]] if small else within[reach <= _LASH * unit]
+            if reach.min() <= _OFF_RIM * unit and reach.max() <= _LASHES * unit:
+                near = within[[int(reach.argmin())] if small else reach <= max(_LASH * unit, reach.min() + _ROW * unit)]
                 roots.at_rim[within] = True
             elif small:
                 near = within[[int(away[within].argmin())]]
@@ -332,13 +338,17 @@ def _span(rows: IntArray) -> IntArray | slice:
     return slice(int(rows[0]), int(rows[-1]) + 1) if follow else rows
 
 
-def _rims(skin: HeadRig) -> NDArray[np.intp]:
-    """Vertices of the rims of all lids, (M,)."""
-    if skin.faces is None:
-        return np.empty(0, dtype=np.intp)
-    eyes = lid_rims(skin.vertices, skin.faces, skin.landmarks, skin.region_weights)
-    rims = [lid.vertices for eye in eyes for lid in (eye.upper, eye.lower)]
-    return np.unique(np.concatenate(rims)) if rims else np.empty(0, dtype=np.intp)
+def _rims(skin: HeadRig) -> tuple[NDArray[np.intp], FloatArray]:
+    """Vertices of the rims of all lids, (M,), and points all along these, (P, 3)."""
+    eyes = [] if skin.faces is None else lid_rims(skin.vertices, skin.faces, skin.landmarks, skin.region_weights)
+    rims = [lid.vertices[np.argsort(lid.at, kind="stable")] for eye in eyes for lid in (eye.upper, eye.lower)]
+    if not rims:
+        return np.empty(0, dtype=np.intp), np.empty((0, 3))
+    # A coarse rim has fewer vertices than lashes that begin between them.
+    share = np.linspace(0.0, 1.0, _STEPS, endpoint=False)[:, None, None]
+    lines = [np.asarray(skin.vertices, dtype=np.float64)[rim] for rim in rims]
+    along = [(line[:-1] + share * np.diff(line, axis=0)).reshape(-1, 3) for line in lines]
+    return np.unique(np.concatenate(rims)), np.concatenate([*lines, *along])
 
 
 def _distances(places: FloatArray, points: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.lid_rims import lid_rims
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.parts import Glue, PartDriver, Roots
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
+from facemime.core.face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
@@ -32,6 +32,34 @@ def test_a_tongue_without_a_name_between_the_teeth_moves_with_the_lower_ones():
     for raised in np.linspace(0.0, 0.06, 7) * unit:  # as high as the upper teeth are far
         pieces = [Piece(found[name] - (0.0, raised * (name == "tongue"), 0.0), ("mouth",)) for name in sorted(found)]
         assert sort_pieces(pieces, points) == [Part.TEETH_LOWER, Part.TEETH_UPPER, Part.TEETH_LOWER]
+
+
+def test_a_tongue_alone_in_a_mouth_moves_with_the_jaw_as_a_whole():
+    head, points = load_head(), built_in_head().vertices[built_in_head().landmarks]
+    tongue = next(part.vertices for part in head.parts if part.name == "tongue")
+    for raised in np.linspace(0.0, 0.06, 4) * outer_eye_distance(points):
+        assert sort_pieces([Piece(tongue - (0.0, raised, 0.0), ("mouth",))], points) == [Part.TEETH_LOWER]
+
+
+def test_both_rows_of_teeth_in_one_piece_are_divided_even_without_anything_else():
+    head, points = load_head(), built_in_head().vertices[built_in_head().landmarks]
+    found = {part.name: part.vertices for part in head.parts if part.name in ("teeth_upper", "teeth_lower", "tongue")}
+    for names in (("teeth_upper", "teeth_lower"), tuple(found)):
+        piece = np.concatenate([found[name] for name in names])
+        assert sort_pieces([Piece(piece, ("mouth",))], points) == [None]
+
+
+def test_lashes_and_brows_of_the_hairs_mesh_ride_on_the_skin_and_a_fringe_does_not():
+    points = built_in_head().vertices[built_in_head().landmarks].astype(np.float64)
+    unit = outer_eye_distance(points)
+    up = np.array([0.0, -0.06, -0.02]) * unit
+    lines = [points[EYE_RIGHT][:4], points[EYE_LEFT][:4], points[BROWS[:5]], points[BROWS[5:]]]
+    pieces = [Piece(np.concatenate([line, line + up]), ("Hair",), away=0.05) for line in lines]
+    assert sort_pieces(pieces, points) == [Part.ON_SKIN] * 4
+    long = [Piece(np.concatenate([line, line + 5 * up]), ("Hair",), away=0.05) for line in lines]
+    narrow = [Piece(np.concatenate([line[:2], line[:2] + up]), ("髪",), away=0.05) for line in lines]
+    glasses = [Piece(piece.vertices, ("Glasses",), away=0.05) for piece in pieces]
+    assert sort_pieces([*long, *narrow, *glasses], points) == [Part.ON_HEAD] * 12
 
 
 @pytest.mark.parametrize(
@@ -233,13 +261,15 @@ def test_a_root_is_held_by_the_side_that_is_stated_unless_that_is_far_away():
         )
 
 
-def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
-    rig, height = built_in_head(), 0.06
+@pytest.mark.parametrize(("begin", "height"), [(0.0, 0.06), (0.05, 0.08)])
+def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts(begin, height):
+    rig = built_in_head()
     eye, *_ = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
     rim = np.asarray(rig.vertices)[eye.upper.vertices[1:-1]]
     above = np.array([0.0, -height, 0.0]) * rig.eye_distance
     near = np.linalg.norm(np.asarray(rig.vertices)[:, None] - (rim + above), axis=2).argmin(axis=0)
-    line = np.concatenate([rim, rim + above + (0.0, 0.0, 1.0) * (np.asarray(rig.vertices)[near] - rim - above)])
+    end = rim + above + (0.0, 0.0, 1.0) * (np.asarray(rig.vertices)[near] - rim - above)
+    line = np.concatenate([rim + begin / height * (end - rim), end])
     start, n = len(rig.vertices), len(rim)
     faces = start + np.array([[i, i + 1, n + i + 1, n + i] for i in range(n - 1)])
     kinds = np.append(np.zeros(start, dtype=np.int8), np.full(len(line), Part.ON_SKIN, dtype=np.int8))
@@ -253,6 +283,8 @@ def test_a_line_of_lashes_on_the_lid_keeps_its_width_when_the_eye_shuts():
     assert fallen.max() > 0.05
     before, width = (np.linalg.norm(at[-n:] - at[-2 * n : -n], axis=1) for at in (lashed.all_vertices, moved))
     np.testing.assert_allclose(width, before, rtol=0.15)
+    line_fell = np.linalg.norm((moved - lashed.all_vertices)[-2 * n : -n], axis=1) / rig.eye_distance
+    np.testing.assert_allclose(line_fell, fallen, atol=0.02)
 
 
 @given(st.floats(0.5, 2.0), st.integers(0, 100))
