@@ -24,7 +24,6 @@ from facemime.blender.heads import binding as binding_module
 from facemime.blender.heads.binding import bind_character, check_object
 from facemime.blender.meshes import read_landmarks, read_vertices
 from facemime.blender.names import HEAD_PROPERTY
-from facemime.blender.preview_scene import setup_preview
 from facemime.blender.rigs import read_rig
 from facemime.blender.timeline import frames_of
 from facemime.core.bake.bake_settings import BakeSettings
@@ -388,16 +387,3 @@ def test_a_file_without_a_character_is_one_clear_error(name, tmp_path):
     said = [line for line in done.stderr.splitlines() if line.startswith("facemime:")]
     assert done.returncode == 1 and len(said) == 1 and name in said[0] and "Traceback" not in done.stderr
     assert not (tmp_path / "out.blend").exists()
-
-
-def test_a_collision_shape_that_is_disabled_everywhere_stays_hidden_in_pictures():
-    objects = make_character(rig=False, hair=True)
-    shape = objects["hair"].copy()
-    bpy.context.scene.collection.objects.link(shape)
-    shape.name, shape.hide_viewport, shape.hide_render = "Hair_Collision", True, True
-    objects["hair"].hide_render = True
-    bpy.context.view_layer.update()
-    head, _ = bind_character(objects["head"])
-    setup_preview(bpy.context.scene, head, (64, 64))
-    assert shape in objects_of(head) and shape.hide_render, "it moves with the head, and is not shown"
-    assert not objects["hair"].hide_render

@@ -5,10 +5,13 @@ import cv2
 import numpy as np
 import pytest
 
+from facemime.blender.characters import objects_of
+from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.preview_scene import face_view, setup_preview
 from facemime.blender.rendering import render_frames
 from facemime.cli.character import draw_landmarks
+from tests.helpers.characters import make_character
 from tests.helpers.thorough import first_of
 
 SIZE = (96, 96)
@@ -185,3 +188,16 @@ def test_each_picture_shows_the_head_as_animation_moves_it_at_its_frame(shown):
     rest, wide, turned_head = (image.astype(float) for image in render_frames(scene, [1.0, 11.0, 21.0], SIZE))
     assert np.abs(wide - rest).mean() > 3.0 and np.abs(turned_head - rest).mean() > 3.0
     assert bpy.context.scene == before
+
+
+def test_a_collision_shape_that_is_disabled_everywhere_stays_hidden():
+    objects = make_character(rig=True, hair=True)
+    shape = objects["hair"].copy()
+    shape.data = shape.data.copy()
+    bpy.context.scene.collection.objects.link(shape)
+    shape.hide_viewport = shape.hide_render = objects["hair"].hide_render = True
+    bpy.context.view_layer.update()
+    head, _ = bind_character(objects["head"])
+    setup_preview(bpy.context.scene, head, SIZE)
+    assert {shape, objects["hair"]} <= set(objects_of(head))
+    assert shape.hide_render and not objects["hair"].hide_render
