@@ -36,6 +36,9 @@ PARTS_PROPERTY = "facemime_parts"
 PART_ATTRIBUTE = "facemime_part"
 """Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.rig.Part`."""
 
+NECK_PROPERTY = "facemime_neck"
+"""Custom property of an armature that was added to turn the head of a character without bones."""
+
 FACEGEN_PROPERTY = "facemime_facegen"
 """Custom property of an object that was imported from a file of FaceGen."""
 

@@ -18,6 +18,7 @@ from ..blender.heads.binding import bind_character, check_object, placements, tu
 from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
 from ..blender.heads.family import character_of, family_of, heads_of, hide_other_levels, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
+from ..blender.heads.neck import give_neck
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import paint_skin_around_eyes
 from ..blender.heads.parts import is_sorted
@@ -319,6 +320,8 @@ def bound_character(obj: bpy.types.Object) -> tuple[bpy.types.Object, Binding]:
     before = placements()
     head, binding = bind_character(obj)
     _tell_of_changes(head, before)
+    if note := give_neck(head):
+        tell(f"{note}.")
     return head, binding
 
 

@@ -7,7 +7,6 @@ from bpy.app.translations import pgettext_rpt as _
 from bpy.props import BoolProperty, EnumProperty, IntProperty
 from mathutils import Matrix
 
-from ..blender.characters import read_bones
 from ..blender.heads.binding import (
     check_object,
     move_landmark,
@@ -22,6 +21,7 @@ from ..blender.heads.binding import (
 from ..blender.heads.facegen import prepare_mouth
 from ..blender.heads.family import character_of, hide_other_levels
 from ..blender.heads.keyed import bind_keys
+from ..blender.heads.neck import give_neck
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import has_painted_skin, replace_eyes
 from ..blender.heads.placing import FormerBinding
@@ -181,8 +181,8 @@ class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):
             report(self, binding.doubt, "WARNING")
         for finding in binding.findings:
             self.report({"WARNING"}, " ".join(map(translated, (finding.problem, finding.remedy))))
-        if binding.body and not read_bones(required_subject(context))[1].head:
-            report(self, "The whole body would turn with the head. Set a bone as pose object in Puppet > Head and Eyes")
+        if note := give_neck(required_subject(context)):
+            report(self, note)
         _report_findings(self, context)
 
 

@@ -18,7 +18,9 @@ from ...core.rigs.metarig import FaceShape, Joint, MetarigFit
 from ..characters import write_bones
 from ..frames import from_blender, to_blender
 from ..heads.family import armature_of
+from ..heads.neck import remove_neck
 from ..meshes import armature_data, mesh_of, require_own
+from ..names import NECK_PROPERTY
 from ..rigs import read_rig
 from ..view_layers import select_alone
 from .skinning import bind_to_rig
@@ -40,10 +42,13 @@ def add_face_rig(head: bpy.types.Object) -> bpy.types.Object:
     Raises HeadError if the head has a rig, Rigify is disabled, or cannot generate the rig; nothing is left then.
     """
     require_own(mesh_of(head))
-    if (armature := armature_of(head)) is not None:
+    armature = armature_of(head)
+    if armature is not None and NECK_PROPERTY not in armature:
         raise HeadError("{name} has a rig: {armature}. Use Learn Controls.", name=head.name, armature=armature.name)
     if not hasattr(bpy.types.PoseBone, "rigify_type"):
         raise HeadError("Rigify is disabled. Enable it in Preferences > Add-ons, and try again.")
+    if armature is not None:
+        remove_neck(armature)
     rig, before = read_rig(head), set(bpy.data.objects)
     try:
         armature = _generated(head, rig)

@@ -30,7 +30,7 @@ from ..meshes import (
     write_landmarks,
     write_regions,
 )
-from ..names import MARKS_PROPERTY, REGION_GROUPS
+from ..names import MARKS_PROPERTY, NECK_PROPERTY, REGION_GROUPS
 from ..viewports import Viewport
 from .binding import (
     VertexTakenError,
@@ -41,6 +41,7 @@ from .binding import (
     turn_mesh,
     write_marks,
 )
+from .neck import remove_neck
 
 NEAR = 24.0
 """Maximum distance of a click from a landmark, pixels at a resolution scale of 1."""
@@ -265,11 +266,14 @@ class FormerBinding:
         self._meshes = [
             _bound(obj) for obj in context.scene.objects if obj.type == "MESH" and mesh_of(obj).library is None
         ]
+        self._necks = {obj.name for obj in context.scene.objects if NECK_PROPERTY in obj}
         self._selected = [obj.name for obj in context.selected_objects]
         self._active = "" if context.active_object is None else context.active_object.name
 
     def restore(self, context: bpy.types.Context) -> None:
         """Restore the binding and the selection; marks that the user made since are kept."""
+        for neck in [obj for obj in context.scene.objects if NECK_PROPERTY in obj and obj.name not in self._necks]:
+            remove_neck(neck)
         for former in self._meshes:
             obj = context.scene.objects.get(former.name)
             if obj is not None and obj.type == "MESH" and len(mesh_of(obj).vertices) == len(former.kinds):
