@@ -67,6 +67,8 @@ from .targets import own_targets
 
 TOLERANCE = 0.009
 """Error allowed for a basis of new shape keys, in eye distances."""
+_MANY_KEYS = 10
+"""Number of moving shape keys from which a character may have a set for its face: FACS' basic ones are more."""
 _RESIDUAL_TOLERANCE = 0.02
 """The same for keys beside named ones. On the five shared clips named keys alone err by 12 to 25 %, with 13 to 24 more
 by 2 % (50 on the liveliest); 1 % takes as many more as a basis without any."""
@@ -127,7 +129,7 @@ def puppet_head(
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
     unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow)]
     loose = loose_parts(obj) if bake.keys == CONTROLS else ""
-    left_out = _muted_keys(obj, bake)
+    left_out = _unused_keys(obj) if settings.bake.keys == AUTOMATIC and bake.keys == "new" else _muted_keys(obj, bake)
     notes = tuple(filter(None, [_what_was_muted(silenced), left_out, *unseen_for, loose, outside_range(scene, shown)]))
     others = () if bake.writes_cache else tuple(playing_under(obj))
     added = bake.clean if clean is not None and plan.keys else 0.0
@@ -162,6 +164,18 @@ def _muted_keys(obj: bpy.types.Object, bake: BakeSettings) -> str:
     blocks, table = keys.key_blocks, table_for(obj, bake.table)
     names = ", ".join(name for name in table.keys if name in blocks and blocks[name].mute)
     return Message("Muted shape keys were left out: {names}. Unmute them to show them.", names=names) if names else ""
+
+
+def _unused_keys(obj: bpy.types.Object) -> str:
+    """Return a note that new keys were added beside many of the user's own; "" if there are few."""
+    count = len(moving_key_names(members_of(obj)))
+    if count < _MANY_KEYS:
+        return ""
+    return Message(
+        "The names of its own shape keys ({count}) are not known, so new ones were added. "
+        "If they show expressions, bake to Existing Shape Keys (named).",
+        count=count,
+    )
 
 
 def puppet_heads(

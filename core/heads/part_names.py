@@ -19,8 +19,26 @@ _BEFORE = (
 _AFTER = r"(?:s|es|l|r|left|right|upper|lower|top|bottom|inner|outer|mesh|geo|geometry|obj|object|mat|material|base)*"
 _EYE = r"eyes? ?"
 _LEFT, _RIGHT = {"l", "left"}, {"r", "right"}
-_AFFIXES = {"base", "mixamorig", "bip", "biped", "valve", "facial", "master", "def", "adj", "j", "c", "cc", "b", "x"}
+_AFFIXES = {
+    "base",
+    "mixamorig",
+    "bip",
+    "biped",
+    "valve",
+    "facial",
+    "master",
+    "def",
+    "adj",
+    "j",
+    "c",
+    "cc",
+    "b",
+    "x",
+    "smplhf",
+}
 """Words that rigs put before or after a name, or that mark a bone as deforming or central."""
+_NATIVE_BONES = {"左": "left", "右": "right", "目": "eye", "眼": "eye", "頭": "head", "头": "head"}
+"""Words of MMD's bones, and of Chinese ones. MMD's 両目 turns both eyes, each of which has a bone of its own."""
 _HEADS = ({"head"}, {"skull"}, {"kopf"}, {"tete"})
 _JAWS = ({"jaw"}, {"jawbone"}, {"jaw", "root"}, {"mandible"})
 _EYE_BONES = ({"eye"}, {"face", "eye"}, {"eyeball"}, {"eye", "socket"})
@@ -231,6 +249,10 @@ def _best(names: Sequence[str], wanted: Sequence[set[str]], side: set[str]) -> s
 
 
 def _words_of(name: str) -> set[str]:
-    """Return the words of a name in lower case, without numbers: `J_Bip_C_Head` and `head.x` contain "head"."""
-    apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name)
-    return {word for word in re.split(r"[^a-z]+", apart.lower()) if word}
+    """Return the words of a name in lower case, without numbers: `J_Bip_C_Head` and `head.x` contain "head", and
+    `Bip01 LEye` and `左目` have the words "l" or "left", and "eye".
+    """
+    for native, word in _NATIVE_BONES.items():
+        name = name.replace(native, f"_{word}_")
+    apart = re.sub(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])", "_", name)
+    return {word for word in re.split(r"[^a-z\u3040-\u9fff]+", apart.lower()) if word}

@@ -342,3 +342,14 @@ def test_strengths_of_a_head_scale_the_last_bake_at_once_and_the_next_by_their_k
     for _ in range(2):
         bake(head, keys="automatic", whole_frames=True)
         np.testing.assert_allclose(_jaw_and_brows(head), before * ((1.0, 1.0), (1.5, 1.0), (1.5, 1.0)), atol=0.03)
+
+
+@pytest.mark.parametrize(("count", "told"), [(3, False), (12, True)])
+def test_own_keys_of_unknown_names_are_mentioned_when_new_ones_are_added(count, told):
+    head = add_head(bpy.context)
+    head.shape_key_add(name="Basis")
+    for number in range(count):
+        head.shape_key_add(name=f"Ausdruck {number}").points[number].co.z += 0.01
+    report = bake(head, keys="automatic")
+    assert any("bake to Existing Shape Keys" in note for note in report.notes) == told
+    assert not bake(head, keys="new").notes

@@ -127,6 +127,10 @@ def test_the_most_telling_name_decides():
         (["CC_Base_NeckTwist01", "CC_Base_Head", "", "CC_Base_L_Eye", "CC_Base_R_Eye"],) * 2,
         (["Bip01 Neck", "Bip01 Head", "", "lEye", "rEye"],) * 2,
         (["neck03", "head", "", "eye.L", "eye.R"],) * 2,
+        (["Bip001 Neck", "Bip001 Head", "Bip001 HeadNub", "Bip001 LEye", "Bip001 REye"],) * 2,
+        (["neck", "head", "jaw", "left_eye_smplhf", "right_eye_smplhf"],) * 2,
+        (["首", "頭", "両目", "左目", "右目"],) * 2,
+        (["首", "頭", "左目先", "目.L", "目.R"],) * 2,
     ],
 )
 def test_the_bones_of_common_rigs_are_found(names, wanted):
