@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from facemime.core.deform.head_deformer import head_deformer
 from facemime.core.deform.lid_rims import lid_rims
 from facemime.core.drive.driver import HeadDriver
-from facemime.core.drive.parts import Glue, PartDriver, Roots
+from facemime.core.drive.glue import Glue, Roots, nearest_triangles
+from facemime.core.drive.parts import PartDriver
 from facemime.core.face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
@@ -18,6 +19,7 @@ from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
 from facemime.core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_skin
 from facemime.core.heads.rig import FaceParts, Part, built_in_head
 from facemime.core.heads.sorting import Piece, lower_row, sort_pieces
+from facemime.core.mesh.surface import triangulate
 from facemime.core.takes.neutral import calibrate
 from tests.helpers.parted_heads import KINDS, with_parts
 from tests.helpers.takes import performance
@@ -251,6 +253,27 @@ def test_the_wall_of_a_mouth_is_shifted_but_not_rotated():
     shifted = Glue(wall, replace(roots, walls=np.array([True])), skin, np.zeros(40, dtype=int), 1.0).move(bent)
     assert abs(rotated[0, 0] - 0.5) > 0.2
     np.testing.assert_allclose(shifted, [[0.5, 0.05, 0.9]], atol=0.05)
+
+
+@given(st.integers(0, 100))
+def test_points_close_to_a_coarse_skin_stay_above_it_however_it_moves(seed):
+    rng = np.random.default_rng(seed)
+    grid = np.arange(6)
+    skin = np.array([[0.2 * x, 0.2 * y, 0.0] for y in grid for x in grid])
+    first = np.array([6 * y + x for y in grid[:-1] for x in grid[:-1]])
+    faces = np.stack([first, first + 1, first + 7, first + 6], axis=1)
+    strip = np.column_stack([np.linspace(0.1, 0.9, 50), np.linspace(0.3, 0.6, 50), np.full(50, -0.004)])
+    roots, sides = Roots.by_nearest(np.arange(50)), np.zeros(36, dtype=int)
+    moved = np.float32(rng.normal(scale=0.03, size=36)[:, None] * (0.0, 0.0, 1.0))
+    corners, shares, away = nearest_triangles(strip, skin, triangulate(faces))
+    np.testing.assert_allclose(away, 0.004, atol=1e-7)
+    np.testing.assert_allclose((shares[..., None] * skin[corners]).sum(axis=1)[:, :2], strip[:, :2], atol=1e-7)
+    beneath = (shares[..., None] * moved[corners]).sum(axis=1)[:, 2]
+    off = [
+        np.abs(beneath - Glue(strip, roots, skin, sides, 1.0, faces=of).move(moved)[:, 2] - 0.004).max()
+        for of in (faces, None)
+    ]
+    assert off[0] < 0.003 and off[0] < off[1]
 
 
 def test_a_root_is_held_by_the_side_that_is_stated_unless_that_is_far_away():
