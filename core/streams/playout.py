@@ -1,8 +1,9 @@
 """Playout of a stream's frames: evenly, with a given delay after the earliest possible arrival, and a return to rest
 when none come.
 
-Times are the sender's. The offset of its clock from this computer's is the smallest difference between arrival and
-time over some seconds, which neither jitter nor congestion lowers, and which follows a clock that runs fast or slow.
+Times are the sender's, unless they turn out to say nothing. The offset of its clock from this computer's is the
+smallest difference between arrival and time over some seconds, which neither jitter nor congestion lowers, and which
+follows a clock that runs fast or slow.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from ..puppet.sources import LiveFrame
 from ..takes.neutral import Neutral
 from ..takes.timing import between
 from ..tracking.result import TrackResult
+from .sender_times import SenderTimes
 
 _BIN = 1.0
 """Seconds over which one smallest difference is taken."""
@@ -86,6 +88,7 @@ class StreamCounts:
 class _Waiting:
     time: float
     order: int
+    arrival: float = field(compare=False)
     result: TrackResult = field(compare=False)
     sequence: int | None = field(compare=False, default=None)
 
@@ -152,6 +155,7 @@ class Playout:
         self.counts = StreamCounts() if counts is None else counts
         self._delay, self._predict = delay, predict
         self._clock = ClockFollower(delay)
+        self._times: SenderTimes | None = SenderTimes()
         self._waiting: list[_Waiting] = []
         self._order = count()
         self._interval = _INTERVAL
@@ -163,14 +167,32 @@ class Playout:
     def push(self, result: TrackResult, time: float | None, arrival: float, sequence: int | None = None) -> bool:
         """Add a frame, and return whether it will be shown; otherwise it came too late or twice.
 
-        `time` is in seconds on the sender's clock, or None if packets have no time, so that even intervals are assumed;
-        `arrival` is in seconds on this computer's; `sequence` is the number of the frame, if packets have one.
+        `time` is in seconds on the sender's clock, or None if packets have no time, so that even intervals are assumed,
+        as they are from the moment at which times turn out to say nothing; `arrival` is in seconds on this computer's;
+        `sequence` is the number of the frame, if packets have one.
         """
+        if time is not None and self._times is not None and self._times.useless(time, arrival, result):
+            self._ignore(self._times)
+        return self._enter(result, time if self._times is not None else None, arrival, sequence)
+
+    def _ignore(self, times: SenderTimes) -> None:
+        """Start again without the sender's times, with the frames that are waiting."""
+        waiting = sorted(self._waiting, key=lambda frame: frame.order)
+        self._interval = min(max(times.interval, _MIN_INTERVAL), _MAX_INTERVAL)
+        self._times, self._clock = None, ClockFollower(self._delay)
+        self._forget()
+        for frame in waiting:
+            self._enter(frame.result, None, frame.arrival, frame.sequence)
+
+    def _forget(self) -> None:
+        self._waiting.clear()
+        self._last.clear()
+        self._entered = None
+
+    def _enter(self, result: TrackResult, time: float | None, arrival: float, sequence: int | None) -> bool:
         time = self._evenly(arrival) if time is None else time
         if self._clock.update(time, arrival, _SLEW * self._interval):
-            self._waiting.clear()
-            self._last.clear()
-            self._entered = None
+            self._forget()
         if self._last and time <= self._last[-1].time:
             again = any(time == shown.time for shown in self._last)
             self.counts.doubled += again
@@ -185,7 +207,7 @@ class Playout:
                 # The smallest of recent steps, as missing frames make others longer.
                 self._interval += (0.3 if step < self._interval else 0.02) * (step - self._interval)
         self._entered = time if self._entered is None else max(time, self._entered)
-        heapq.heappush(self._waiting, _Waiting(time, next(self._order), result, sequence))
+        heapq.heappush(self._waiting, _Waiting(time, next(self._order), arrival, result, sequence))
         if len(self._waiting) > _MAX_WAITING:
             heapq.heappop(self._waiting)
             self.counts.late += 1

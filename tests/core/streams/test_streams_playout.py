@@ -137,6 +137,58 @@ def test_frames_without_times_are_assumed_to_be_sent_evenly():
     assert np.abs(waits - 1.0 / RATE).max() < 0.008
 
 
+CLOCKS = {
+    "stands still": lambda seconds, rate: np.full_like(seconds, 7.0),
+    "counts whole seconds": lambda seconds, rate: np.floor(seconds),
+    "is sent with every tenth frame": lambda seconds, rate: 10.0 / rate * np.floor(seconds * rate / 10.0 + 1e-6),
+    "is sent with every second frame": lambda seconds, rate: 2.0 / rate * np.floor(seconds * rate / 2.0 + 1e-6),
+    "counts seconds since 1970 in single precision": lambda seconds, rate: (1.75e9 + seconds).astype(np.float32),
+    "is random within each second": lambda seconds, rate: np.floor(seconds) + shuffled(len(seconds)) / 60.0,
+    "is random": lambda seconds, rate: 1e6 * np.random.default_rng(1).random(len(seconds)),
+    "goes back every second": lambda seconds, rate: seconds % 1.0,
+}
+
+
+def shuffled(count: int) -> np.ndarray:
+    return np.random.default_rng(0).integers(0, 60, count)
+
+
+@pytest.mark.parametrize("rate", [15.0, 30.0, 60.0])
+@pytest.mark.parametrize("clock", CLOCKS)
+def test_frames_come_out_as_they_arrive_if_the_senders_clock_is_useless(clock, rate):
+    seconds = np.arange(int(6.0 * rate)) / rate
+    times = CLOCKS[clock](seconds, rate).astype(float)
+    frames = [coefficient_face().result(np.full(52, n / len(times)), np.zeros(3)) for n in range(len(times))]
+    packets = list(zip(seconds.tolist(), zip(times.tolist(), frames, strict=True), strict=True))
+    shown = played(Link(0.02, 0.3 / rate).deliver(packets, 1), Playout(0.1), 7.0)
+    values = np.array([frame.result.coefficients[0] for _, frame in shown if not frame.predicted])
+    begun = values > 2.0 / 6.0
+    assert len(values) >= len(times) - 0.3 * rate - 8 and len(values[begun]) == (seconds > 2.0).sum()
+    assert (np.diff(values[begun]) > 0.0).all()
+    due = np.diff([frame.due for _, frame in shown if not frame.predicted])[begun[1:]]
+    assert np.abs(due - 1.0 / rate).max() < 0.3 / rate
+
+
+@pytest.mark.parametrize("rate", [15.0, 30.0, 60.0])
+@pytest.mark.parametrize("jitter", [0.05, 0.2])
+def test_a_good_clock_is_kept_on_a_network_that_delays_doubles_and_reorders_packets(rate, jitter):
+    frames = [coefficient_face().result(np.full(52, n / 600), np.zeros(3)) for n in range(600)]
+    packets = [(n / rate, (1000.0 + n / rate, frame)) for n, frame in enumerate(frames)]
+    link = Link(jitter, jitter, loss=0.05, double=0.3, cut=(5.0, 6.5))
+    playout = Playout(2.0 * jitter + 0.05)
+    shown = played(link.deliver(packets, 2), playout, 601 / rate)
+    times = [frame.time for _, frame in shown if not frame.predicted]
+    assert set(times) <= {time for _, (time, _) in packets} and times == sorted(set(times))
+    assert len(times) > 0.9 * 600 - 1.5 * rate and playout.counts.doubled > 100
+
+
+def test_frames_that_a_sender_repeats_with_their_times_are_shown_once():
+    arrivals = [(n / 60.0, packet) for n, packet in enumerate(packet for packet in sent(4.0) for _ in (0, 1))]
+    playout = Playout(DELAY)
+    shown = played([(at, packet[1]) for at, packet in arrivals], playout, 5.0)
+    assert sum(not frame.predicted for _, frame in shown) == playout.counts.doubled == 120
+
+
 def test_a_flood_of_frames_is_bounded():
     playout, result = Playout(2.0), results(1)[0]
     for number in range(20_000):
