@@ -86,6 +86,8 @@ class Casting:
         """Follow the senders that are there; `heard` says when each face last came, in seconds and order of arrival."""
         waiting = False
         for role in self.roles:
+            if role.followed not in heard:
+                role.followed = None
             if waiting and not role.wanted and role.followed is None:
                 continue
             self._follow(role, heard, now)

@@ -23,6 +23,7 @@ from .diagnosis import Diagnosis, Incoming, incoming
 from .links import ConnectionsLink, DatagramLink, Link
 from .phone import Phone, PhoneLink
 from .playout import Playout, Shown, StreamCounts
+from .ports import Ports
 from .protocols.frames import Decoding, FaceValues, PacketError, Receiver, StreamFrame
 from .stream_settings import AXES, OWN, PROTOCOLS, StreamSettings
 from .tls_client import TlsLink
@@ -110,6 +111,7 @@ class StreamSource(LiveSource):
         self._wake, self._woken = socket.socketpair()
         self._closed = False
         self._senders: dict[Address, _Sender] = {}
+        self._ports = Ports()
         self.chosen: tuple[str, ...] = self.settings.senders
         self._casting = Casting(self._wanted())
         self._turn, self._began = 0, float("inf")
@@ -225,8 +227,9 @@ class StreamSource(LiveSource):
 
     def _take(self, data: bytes, address: Address, now: float) -> None:
         """Process a datagram from any sender."""
+        source = self._ports.sender_of(address, now)
         try:
-            sender = self._sender(address, now)
+            sender = self._sender(source, now)
             frames = self._decoded(sender, data, address, now)
             for frame in frames:
                 self._add(sender, frame, now)
@@ -238,7 +241,9 @@ class StreamSource(LiveSource):
         else:
             self.counts.accepted += 1
             self._diagnosis.accept(address, now, frames=len(frames))
-            self._senders.setdefault(address, sender).heard = now
+            self._senders.setdefault(source, sender).heard = now
+            for other in self._ports.note(address, now):
+                self._senders.pop(other, None)
 
     def _decoded(self, sender: _Sender, data: bytes, address: Address, now: float) -> list[StreamFrame]:
         if len(data) > self._link.largest:
