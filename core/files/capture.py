@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ from ..errors import Message, OutputError, SourceError
 from ..numeric.opencv import silence_opencv
 from .closing import Closing
 from .media_headers import stated_size
+from .picture_names import in_order, places
 from .reading import read_bytes
 from .writing import reason_of, replacing
 
@@ -28,10 +29,6 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
 
 MAX_PIXELS = 1 << 26
 """Largest number of pixels of a frame, 8192 by 8192: decoding a larger one takes gigabytes."""
-_NUMBERED = re.compile(r"(\D*)(\d*)")
-_LAST_NUMBER = re.compile(r"(.*?)(\d{1,9})")
-_SPARSE = 2
-"""How many times as long as its pictures a numbered sequence may be; longer ones are pictures that were picked."""
 _ADDRESS = re.compile(r"[a-z][a-z0-9+.-]+:|subfile,", re.IGNORECASE)
 _MOST_STRETCHED = 4.0
 """Largest ratio of the sides of a pixel; any other is taken for a mistake in the file."""
@@ -213,7 +210,7 @@ class PictureSource(Closing):
     def __iter__(self) -> Iterator[Frame]:
         unreadable: SourceError | None = None
         shown, start = 0, None
-        for place, picture in zip(_places(self._pictures), self._pictures, strict=True):
+        for place, picture in zip(places(self._pictures), self._pictures, strict=True):
             try:
                 image = read_image(picture)
             except SourceError as error:
@@ -239,18 +236,7 @@ def pictures_in(folder: Path) -> list[Path]:
         pictures = [path for path in folder.iterdir() if path.suffix.lower() in IMAGE_SUFFIXES]
     except OSError as error:
         raise unreadable_folder(folder, error) from error
-    return sorted(pictures, key=lambda path: [(int(n or 0), text) for text, n in _NUMBERED.findall(path.name)])
-
-
-def _places(pictures: Sequence[Path]) -> Sequence[int | None]:
-    """Return the position of each picture in its numbered sequence, from 0; all None if the names are no sequence."""
-    named = [match for path in pictures if (match := _LAST_NUMBER.fullmatch(path.stem))]
-    if len(named) == len(pictures) > 1 and len({match[1] for match in named}) == 1:
-        numbers = np.array([int(match[2]) for match in named])
-        places = (numbers - numbers[0]) // max(int(np.gcd.reduce(np.diff(numbers))), 1)
-        if np.diff(places).min() > 0 and places[-1] < _SPARSE * len(places):
-            return [int(place) for place in places]
-    return [None] * len(pictures)
+    return in_order(pictures)
 
 
 def unreadable_folder(folder: Path, error: OSError) -> SourceError:

@@ -228,6 +228,34 @@ def test_later_pictures_of_a_sequence_keep_their_times_where_some_are_missing_or
     assert source.skipped == 3 and [frame.index for frame in frames] == list(range(9))
 
 
+@pytest.mark.parametrize("before", ["", "take", "take_", "a1b", "2024-12-01 "])
+@pytest.mark.parametrize("numbers", [range(-3, 3), range(-12, 13, 4), range(-5, 2)])
+def test_pictures_of_negative_frames_come_first(tmp_path, before, numbers):
+    folder = pictures(tmp_path / "clip", [f"{before}{'-' * (n < 0)}{abs(n):04d}.png" for n in numbers])
+    with open_video(folder, 10.0) as source:
+        frames = list(source)
+    assert [int(frame.image.mean()) for frame in frames] == [20 + 30 * n for n in range(len(frames))]
+    assert [round(10.0 * frame.time) for frame in frames] == list(range(len(frames))) and source.skipped == 0
+
+
+def test_pictures_that_all_begin_with_a_minus_are_negative_frames(tmp_path):
+    folder = pictures(tmp_path / "clip", [f"-{n:04d}.png" for n in (12, 11, 10, 8)])
+    with open_video(folder, 10.0) as source:
+        assert [(int(frame.image.mean()), frame.time) for frame in source] == [
+            (20, 0),
+            (50, 0.1),
+            (80, 0.2),
+            (110, 0.4),
+        ]
+
+
+@pytest.mark.parametrize("before", ["take-", "take3-", "2024-12-", "take_-", "IMG-20241201-WA"])
+def test_a_hyphen_between_text_and_number_is_no_sign(tmp_path, before):
+    folder = pictures(tmp_path / "clip", [f"{before}{n}.png" for n in (2, 3, 5, 10)])
+    with open_video(folder, 10.0) as source:
+        assert [int(frame.image.mean()) for frame in source] == [20, 50, 80, 110]
+
+
 def test_pictures_that_were_picked_follow_each_other(tmp_path):
     folder = pictures(tmp_path / "clip", ["IMG_1200.png", "IMG_1207.png", "IMG_1251.png"])
     with open_video(folder, 10.0) as source:
