@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from ..errors import Message, OutputError, SourceError
 from ..numeric.opencv import silence_opencv
 from .closing import Closing
-from .media_headers import stated_size
+from .media_headers import TIFF, stated_size
 from .picture_names import in_order, places
 from .reading import read_bytes
 from .writing import reason_of, replacing
@@ -346,12 +346,25 @@ def read_image(path: Path) -> NDArray[np.uint8]:
                 max_pixels=MAX_IMAGE_PIXELS // 10**6,
                 max_side=MAX_SIDE,
             )
-        image = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        image = None if size is None else _decoded(data)
     except (OSError, ValueError, cv2.error) as error:
         raise _unreadable(path) from error
     if image is None:
         raise _unreadable(path)
-    return np.asarray(image, dtype=np.uint8)
+    return image
+
+
+def _decoded(data: bytes) -> NDArray[np.uint8] | None:
+    """Decode an image, (H, W, 3) BGR; None if that is impossible."""
+    stored = np.frombuffer(data, np.uint8)
+    image = cv2.imdecode(stored, cv2.IMREAD_UNCHANGED) if data.startswith(TIFF) else None
+    if image is None or image.dtype.kind != "f":
+        image = cv2.imdecode(stored, cv2.IMREAD_COLOR)
+        return None if image is None else np.asarray(image, dtype=np.uint8)
+    # OpenCV does not convert floating-point numbers, or only as light. Blender shows them as they are, 1 as white.
+    channels = np.atleast_3d(image)
+    colours = channels[..., :3] if channels.shape[2] >= 3 else np.repeat(channels[..., :1], 3, axis=2)
+    return np.asarray(np.rint(255.0 * np.clip(np.nan_to_num(colours), 0.0, 1.0)), dtype=np.uint8)
 
 
 def _unreadable(path: Path) -> SourceError:

@@ -24,6 +24,8 @@ _PNM = re.compile(rb"P[1-6](?:\s+|#[^\n]*\n)+(\d{1,9})(?:\s+|#[^\n]*\n)+(\d{1,9}
 _JPEG_FRAMES = frozenset({*range(0xC0, 0xD0)} - {0xC4, 0xC8, 0xCC})
 _JPEG_ALONE = frozenset({0x01, 0xFF, *range(0xD0, 0xD9)})
 """Markers without a length."""
+TIFF = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
+"""Starts of a TIFF file: both orders of bytes, up to 4 GB and beyond."""
 _TIFF_WIDTH, _TIFF_HEIGHT = 256, 257
 
 
@@ -107,7 +109,7 @@ _READERS: tuple[tuple[bytes | tuple[bytes, ...], Callable[[bytes], Size | None]]
     (b"\x89PNG\r\n\x1a\n", _png),
     (b"\xff\xd8", _jpeg),
     (b"BM", _bmp),
-    ((b"II*\0", b"MM\0*", b"II+\0", b"MM\0+"), _tiff),
+    (TIFF, _tiff),
     (b"RIFF", _webp),
     (tuple(b"P%d" % kind for kind in range(1, 7)), _pnm),
 )

@@ -52,6 +52,33 @@ def test_the_size_of_other_formats_is_known_too(suffix, options):
     assert stated_size(encoded(suffix, 53, 37, *options)) == (53, 37)
 
 
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+@pytest.mark.parametrize("channels", [1, 3, 4])
+@pytest.mark.parametrize("compression", [(), (cv2.IMWRITE_TIFF_COMPRESSION, 1), (cv2.IMWRITE_TIFF_COMPRESSION, 8)])
+def test_a_tiff_of_floating_point_numbers_has_white_at_1_and_black_at_0(tmp_path, kind, channels, compression, capfd):
+    grey = np.linspace(0.0, 1.0, 60 * channels).reshape(1, 60, channels).repeat(40, axis=0).astype(kind)
+    (tmp_path / "a.tif").write_bytes(bytes(cv2.imencode(".tif", grey, compression)[1]))
+    image = read_image(tmp_path / "a.tif")
+    wanted = grey[..., :3] if channels > 1 else grey.repeat(3, axis=2)
+    # Without a compression, OpenCV writes three channels as logarithms.
+    assert image.shape == (40, 60, 3) and np.abs(image - 255.0 * wanted).mean() < 2.5
+    assert capfd.readouterr() == ("", "")
+
+
+def test_numbers_of_a_tiff_beyond_white_are_white_and_others_that_are_none_black(tmp_path):
+    odd = np.zeros((8, 8, 3), np.float32)
+    odd[0], odd[1], odd[2], odd[3] = 7.0, -3.0, np.nan, np.inf
+    (tmp_path / "a.tif").write_bytes(bytes(cv2.imencode(".tif", odd, (cv2.IMWRITE_TIFF_COMPRESSION, 1))[1]))
+    assert read_image(tmp_path / "a.tif")[:4, 0, 0].tolist() == [255, 0, 0, 255]
+
+
+@pytest.mark.parametrize("channels", [1, 3, 4])
+def test_a_tiff_of_16_bits_keeps_its_brightness(tmp_path, channels):
+    grey = np.full((20, 30, channels), 0.5 * 65535, np.uint16)
+    (tmp_path / "a.tif").write_bytes(bytes(cv2.imencode(".tif", grey)[1]))
+    assert np.abs(read_image(tmp_path / "a.tif") - 127.5).max() < 2.0
+
+
 @pytest.mark.parametrize("suffix", sorted(IMAGE_SUFFIXES))
 def test_a_truncated_image_is_read_or_refused(suffix, tmp_path):
     data = encoded(suffix)
