@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from ..errors import Message, OutputError, SourceError
 from ..numeric.opencv import silence_opencv
 from .closing import Closing
+from .frame_rate import FASTEST, nominal_rate
 from .media_headers import TIFF, stated_size
 from .picture_names import in_order, places
 from .reading import read_bytes
@@ -34,14 +35,8 @@ _MOST_STRETCHED = 4.0
 """Largest ratio of the sides of a pixel; any other is taken for a mistake in the file."""
 _SQUARE = 0.02
 """Difference of this ratio from 1 up to which pixels are square: rounded sizes of a file are off by less."""
-_FASTEST = 120.0
-"""Largest nominal rate that is believed without a look at the times. Recorders in browsers state 1000."""
 _LOOKED_AT = 60
-"""Frames from whose times a rate is found instead."""
-_USUAL_RATES = np.array([24000 / 1001, 24.0, 25.0, 30000 / 1001, 30.0, 50.0, 60000 / 1001, 60.0, 90.0, 120.0, 240.0])
-"""Frames per second at which is recorded."""
-_INEXACT = 0.05
-"""Largest difference, as a share of it, between a found rate and the usual one that is meant."""
+"""Frames from whose times a rate is found if the stated one is none at which is recorded."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,8 @@ class VideoSource(Closing):
     pixel_aspect : float
         Width of the stored pixels, before they are rotated and stretched, divided by their height.
     fps : float
-        Nominal rate in frames per second, or the usual one of the times if the file states none or an impossible one.
+        Nominal rate in frames per second, or the usual one of the times if the file states none, an impossible one, or
+        the mean of a recording that skips frames, as phones' do.
     frame_count : int
         Stated number of frames, which may be wrong; 0 if unknown.
 
@@ -113,10 +109,10 @@ class VideoSource(Closing):
         self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
         self.pixel_aspect = self._pixel_aspect()
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
-        self.fps = fps if 1.0 <= fps <= _FASTEST else self._usual_rate()
+        self.fps = nominal_rate(fps, self._first_times)
         count = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
         # A file that states no number of frames only states how long it lasts.
-        count *= self.fps / fps if fps > _FASTEST else 1.0
+        count *= self.fps / fps if fps > FASTEST else 1.0
         self.frame_count = max(0, int(count)) if np.isfinite(count) else 0
 
     def __iter__(self) -> Iterator[Frame]:
@@ -164,17 +160,11 @@ class VideoSource(Closing):
         size = (round(width * max(wider, 1.0)), round(height * max(1.0 / wider, 1.0)))
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
 
-    def _usual_rate(self) -> float:
-        """Find the rate from the times of the first frames; 25 if they tell nothing."""
+    def _first_times(self) -> list[float]:
         frames = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         times = [float(frames.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0 for _ in range(_LOOKED_AT) if frames.grab()]
         frames.release()
-        steps = np.diff(times)
-        if not (steps > 0.0).any():
-            return 25.0
-        rate = 1.0 / float(np.median(steps[steps > 0.0]))
-        usual = float(_USUAL_RATES[np.abs(np.log(_USUAL_RATES / rate)).argmin()])
-        return usual if abs(rate / usual - 1.0) < _INEXACT else min(max(rate, 1.0), 1000.0)
+        return times
 
     def close(self) -> None:
         """Release the file; may be called twice."""

@@ -22,6 +22,7 @@ from facemime.core.files.capture import (
     write_image,
 )
 from tests.helpers.matroska import browser_video
+from tests.helpers.phone_video import phone_video
 from tests.helpers.turned import turned_clip
 
 
@@ -75,6 +76,28 @@ def test_the_rate_of_a_browsers_recording_is_that_of_its_images(tmp_path, rate):
         frames = list(source)
     assert source.fps == pytest.approx(rate, rel=0.07)
     np.testing.assert_allclose([frame.time for frame in frames], times / 1000.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 50.0, 60.0])
+@pytest.mark.parametrize("skipped", [0.04, 0.1])
+def test_the_rate_of_a_phone_that_skips_frames_is_the_one_at_which_most_of_them_come(tmp_path, rate, skipped):
+    steps = (1 + (np.random.default_rng(0).random(200) < skipped)) / rate
+    with VideoSource(phone_video(tmp_path / "clip.mp4", steps.tolist())) as source:
+        times = [frame.time for frame in source]
+    assert source.fps == pytest.approx(rate, rel=0.002) and source.frame_count == 201
+    np.testing.assert_allclose(np.diff(times), steps, atol=1e-3)
+
+
+@pytest.mark.parametrize("rate", [10.0, 12.5, 15.0, 20.0, 28.125, 29.0, 31.0, 48.0, 100.0])
+def test_an_unusual_rate_that_all_frames_keep_is_believed(tmp_path, rate):
+    with VideoSource(phone_video(tmp_path / "clip.mp4", [1.0 / rate] * 80)) as source:
+        assert source.fps == pytest.approx(rate, rel=1e-3)
+
+
+def test_the_mean_is_the_rate_if_frames_come_at_no_rate(tmp_path):
+    steps = np.random.default_rng(3).uniform(0.02, 0.1, 120)
+    with VideoSource(phone_video(tmp_path / "clip.mp4", steps.tolist())) as source:
+        assert source.fps == pytest.approx(1.0 / steps.mean(), rel=0.02)
 
 
 def test_a_truncated_video_yields_its_complete_frames(tmp_path):
