@@ -47,7 +47,7 @@ def give_neck(head: bpy.types.Object) -> str:
         return ""
     points = read_vertices(mesh_of(head))[read_landmarks(head)].astype(np.float64)
     unit, meshes = outer_eye_distance(points), dict.fromkeys([head, *family_of(head), *objects_of(head)])
-    places = {obj: _places(obj, head) for obj in meshes}
+    places = {obj: _places(obj, head) for obj in meshes if obj.is_editable and mesh_of(obj).is_editable}
     if max(float(of[:, 1].max()) for of in places.values()) < points[JAW, 1].max() + _BODY * unit:
         return ""
     shares = {obj: share for obj, of in places.items() if (share := _shares(of, points)).any()}
