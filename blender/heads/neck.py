@@ -18,7 +18,7 @@ from ...core.heads.rig import neck_of
 from ...core.numeric.arrays import FloatArray
 from ..characters import objects_of, read_bones, rest_matrix, write_bones
 from ..frames import from_blender, to_blender
-from ..meshes import armature_data, is_head, mesh_of, read_landmarks, read_vertices
+from ..meshes import armature_data, is_head, mesh_of, read_landmarks, read_vertices, rest_bones
 from ..names import NECK_PROPERTY
 from ..view_layers import select_alone
 from .family import armature_of, family_of
@@ -34,6 +34,8 @@ _BESIDE = (3.0, 4.0)
 hands beyond."""
 _BODY = 2.5
 """Distance below the chin, in outer-eye distances, from which a character has a body; busts turn as a whole."""
+_NEAR = 0.2
+"""Distance, in outer-eye distances, within which the bone fits a face that was found again."""
 _STEPS = 64
 """Number of different weights, as Blender takes a call for each."""
 
@@ -41,11 +43,16 @@ _STEPS = 64
 def give_neck(head: bpy.types.Object) -> str:
     """Add a bone that turns the head of a character that has a body and no bones, and say so; "" if it needs none.
 
-    It moves all meshes of the character, with weights that end in the neck. `head` has to be visible.
+    It moves all meshes of the character, with weights that end in the neck. One that was added for a face elsewhere is
+    replaced. `head` has to be visible.
     """
-    if armature_of(head) is not None or not head.visible_get() or not is_head(head):
+    if not head.visible_get() or not is_head(head):
         return ""
     points = read_vertices(mesh_of(head))[read_landmarks(head)].astype(np.float64)
+    if (former := armature_of(head)) is not None:
+        if NECK_PROPERTY not in former or _off(former, head, points) < _NEAR:
+            return ""
+        remove_neck(former)
     unit, meshes = outer_eye_distance(points), dict.fromkeys([head, *family_of(head), *objects_of(head)])
     places = {obj: _places(obj, head) for obj in meshes if obj.is_editable and mesh_of(obj).is_editable}
     if max(float(of[:, 1].max()) for of in places.values()) < points[JAW, 1].max() + _BODY * unit:
@@ -71,6 +78,13 @@ def remove_neck(armature: bpy.types.Object) -> None:
         if read_bones(obj)[0] == armature:
             write_bones(obj, None, FaceBones())
     bpy.data.armatures.remove(armature_data(armature))
+
+
+def _off(armature: bpy.types.Object, head: bpy.types.Object, points: FloatArray) -> float:
+    """Return how far the bone of `armature` is from the neck, in outer-eye distances."""
+    bone = rest_matrix(armature) @ rest_bones(armature)[_BONE].head_local
+    local = from_blender(np.array(rest_matrix(head).inverted_safe() @ bone))
+    return float(np.linalg.norm(local - neck_of(points))) / outer_eye_distance(points)
 
 
 def _places(obj: bpy.types.Object, head: bpy.types.Object) -> FloatArray:

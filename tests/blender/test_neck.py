@@ -3,7 +3,7 @@
 import bpy
 import numpy as np
 import pytest
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 
 from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import own_targets
@@ -103,6 +103,20 @@ def test_going_back_to_the_former_binding_removes_the_neck(figure):
     give_neck(head)
     former.restore(bpy.context)
     assert armature_of(head) is None and own_targets(head)["head"].owner == head
+
+
+def test_a_neck_of_a_face_elsewhere_is_replaced_and_one_that_fits_is_kept(figure):
+    head, _ = figure
+    give_neck(head)
+    armature = armature_of(head)
+    assert not give_neck(head) and armature_of(head) == armature
+    bpy.context.view_layer.objects.active = armature
+    bpy.ops.object.mode_set(mode="EDIT")
+    armature.data.edit_bones["Head"].translate(Vector((0.0, 0.0, -0.1)))
+    bpy.ops.object.mode_set(mode="OBJECT")
+    assert give_neck(head)
+    assert len([modifier for modifier in head.modifiers if modifier.type == "ARMATURE"]) == 1
+    assert len(bpy.data.armatures) == 1
 
 
 def test_a_head_without_a_body_or_with_bones_needs_none():
