@@ -7,9 +7,9 @@ import pytest
 
 from facemime.core.bake.expression_keys import expression_keys
 from facemime.core.bake.key_quality import findings, key_qualities
-from facemime.core.bake.key_sets import KEY_SETS
+from facemime.core.bake.key_sets import KEY_SETS, KeySet
 from facemime.core.deform.lid_rims import lid_rims
-from facemime.core.face.landmarks import EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS
+from facemime.core.face.landmarks import BROWS, CHIN, EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, NOSE, UPPER_LIDS
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball
 from facemime.core.heads.rig import Part, built_in_head
@@ -103,3 +103,23 @@ def test_made_blinks_shut_the_eyes_along_their_whole_rims():
     eyes = lid_rims(rig.vertices, rig.faces, rig.landmarks, rig.region_weights)
     for eye, name in zip(eyes, ("eyeBlinkRight", "eyeBlinkLeft"), strict=True):
         assert eye.open_share(places + motions[names.index(name)]) < 0.015
+
+
+@pytest.mark.parametrize("size", [0.7, 1.3])
+def test_a_small_mouth_moves_less_far_than_a_large_one(size):
+    rig = built_in_head()
+    keys = KeySet("Few", {name: {name: 1.0} for name in ("mouthSmileLeft", "jawOpen", "browInnerUp")})
+    places = np.array(rig.vertices, dtype=np.float64)
+    middle, unit = places[rig.landmarks[NOSE[4:]]].mean(axis=0), rig.eye_distance
+    lower = np.clip((places[:, 1] - middle[1]) / (0.2 * unit), 0.0, 1.0)[:, None]
+    places += lower * (size - 1.0) * (places - middle) * (1.0, 1.0, 0.0)
+    other = replace(rig, vertices=places.astype(np.float32))
+    moved = [
+        np.linalg.norm(motions[:, one.landmarks], axis=2)
+        for one in (rig, other)
+        for _, motions in [expression_keys(one, keys)]
+    ]
+    ratios = [
+        moved[1][row, chosen].mean() / moved[0][row, chosen].mean() for row, chosen in enumerate((LIPS, CHIN, BROWS))
+    ]
+    np.testing.assert_allclose(ratios, [size, size, 1.0], rtol=0.2)
