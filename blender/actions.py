@@ -333,6 +333,7 @@ def _push_down(owner: bpy.types.ID, frames: NDArray[np.floating[Any]], name: str
 def _span(strip: bpy.types.NlaStrip, first: float, last: float) -> None:
     """Let a strip play the frames of its action from `first` to `last` where they are."""
     strip.use_sync_length = False
+    strip.action_frame_end = max(last, strip.action_frame_end)  # as Blender clips the start to it
     strip.action_frame_start, strip.action_frame_end = first, last
     strip.frame_end, strip.frame_start = last, first
 

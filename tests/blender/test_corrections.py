@@ -24,10 +24,10 @@ def bake(head, count=60, **settings):
     return puppet_head(bpy.context.scene, head, performance(count), settings)
 
 
-def values(obj, name="jawOpen"):
+def values(obj, name="jawOpen", after=0):
     found = []
     for frame in FRAMES:
-        bpy.context.scene.frame_set(frame)
+        bpy.context.scene.frame_set(frame + after)
         found.append(obj.data.shape_keys.key_blocks[name].value)
     return np.array(found)
 
@@ -68,6 +68,18 @@ def test_corrections_are_added_to_the_bake_and_another_bake_leaves_them():
     bake(head)
     remove_layer(head)
     np.testing.assert_allclose(values(head), before, atol=1e-4)
+
+
+def test_another_bake_below_corrections_of_a_shot_that_begins_late_plays():
+    head, scene = add_head(bpy.context), bpy.context.scene
+    scene.frame_start, scene.frame_end = 1001, 1100
+    bake(head, start="scene")
+    before = values(head, after=1000)
+    assert np.ptp(before) > 0.1
+    add_layer(head)
+    np.testing.assert_allclose(values(head, after=1000), before, atol=1e-5)
+    bake(head, start="scene")
+    np.testing.assert_allclose(values(head, after=1000), before, atol=1e-4)
 
 
 def test_lashes_follow_corrections_of_the_skin():

@@ -25,11 +25,11 @@ def bake(head, keys="mapped", **settings):
     return puppet_head(bpy.context.scene, head, performance(), wanted)
 
 
-def values_of(head):
-    """Values of all keys in some frames, (F, K)."""
+def values_of(head, after=0):
+    """Values of all keys in some frames, (F, K), that many frames later."""
     rows = []
     for frame in FRAMES:
-        bpy.context.scene.frame_set(frame)
+        bpy.context.scene.frame_set(frame + after)
         rows.append([key.value for key in head.data.shape_keys.key_blocks])
     return np.array(rows)
 
@@ -116,6 +116,32 @@ def test_a_take_is_added_to_the_animation_of_keys_on_request(moved, plain):
         assert not any("Muted" in warning for warning in report.warnings)
     remove_baked(head, own_targets(head))
     np.testing.assert_allclose(values_of(head), before, atol=1e-6)
+
+
+def _muted_curve(head):
+    animate(head)
+    curves_of(head.data.shape_keys)[0].mute = True
+
+
+def _still(head):
+    """Keys that do not move, as those that a pose library sets."""
+    key = head.data.shape_keys.key_blocks["jawOpen"]
+    for frame in (1, 2000):
+        key.keyframe_insert("value", frame=frame)
+
+
+@pytest.mark.parametrize("start", [37, 1001])
+@pytest.mark.parametrize(
+    ("moved", "settings"),
+    [(None, {"nla": True}), (_still, {}), (_muted_curve, {}), (_still, {"keep_animation": True})],
+)
+def test_a_bake_on_a_strip_plays_from_the_frame_where_its_take_begins(start, moved, settings, plain):
+    head, scene = add_head(bpy.context, units=True), bpy.context.scene
+    if moved is not None:
+        moved(head)
+    scene.frame_start, scene.frame_end = start, start + 99
+    bake(head, start="scene", **settings)
+    np.testing.assert_allclose(values_of(head, start - 1), plain, atol=5e-3)
 
 
 def test_a_driver_that_is_to_be_kept_moves_its_key_alone(plain):
