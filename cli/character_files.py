@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 
 import bpy
@@ -14,6 +14,7 @@ from mathutils import Matrix
 from ..blender import head_properties
 from ..blender.animation.clips import AnimationClip, clips_of, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
+from ..blender.gltf_seconds import base_is_right, inverted_base
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
 from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
 from ..blender.heads.family import character_of, family_of, heads_of, hide_other_levels, likely_character
@@ -29,7 +30,7 @@ from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files.capture import check_readable, require_utf8_name
 from ..core.files.locks import temporary_folder
 from ..core.heads.bind import Binding
-from ..core.heads.character_files import gltf_of, rate_of_file
+from ..core.heads.character_files import duration_of_gltf, gltf_of, rate_of_file
 from ..core.puppet.job import CHARACTER_SUFFIXES, HeadFile
 from .console import tell
 from .guard import limited
@@ -143,14 +144,10 @@ def open_file(path: Path) -> None:
         raise SourceError(
             "{path} is not a file of a character. Use {suffixes}.", path=path, suffixes=", ".join(CHARACTER_SUFFIXES)
         )
-    with STOPPING.holding():
-        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    # Before the import, as importers convert seconds to frames of the scene.
-    if (rate := _animation_rate(path)) is not None:
-        set_rate(bpy.context.scene, rate)
     try:
-        with STOPPING.holding(), quiet(), limited(path):
-            _IMPORTERS[suffix](str(path.resolve()))
+        _import(path, inverted=suffix in _GLTF)
+        if suffix in _GLTF and not base_is_right(bpy.context.scene, _last_frame(), duration_of_gltf(path)):
+            _import(path)
         if suffix == ".vrm" and (count := add_expressions(gltf_of(path)[0], bpy.context.scene.objects)):
             tell(f"{path.name} is driven by {count} expressions of its own.")
     except (RuntimeError, AttributeError, OSError, ValueError, MemoryError) as error:
@@ -166,6 +163,22 @@ def open_file(path: Path) -> None:
     # The importers of other files than Alembic and USD leave the range of the scene as it is.
     if clips and suffix not in _WITH_RANGE:
         set_frames(clips)
+
+
+def _import(path: Path, *, inverted: bool = False) -> None:
+    """Import a file of another program into an empty one, with the base of the rate inverted on request."""
+    with STOPPING.holding():
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+    # Before the import, as importers convert seconds to frames of the scene.
+    if (rate := _animation_rate(path)) is not None:
+        set_rate(bpy.context.scene, rate)
+    with STOPPING.holding(), quiet(), limited(path), inverted_base(bpy.context.scene) if inverted else nullcontext():
+        _IMPORTERS[path.suffix.lower()](str(path.resolve()))
+
+
+def _last_frame() -> float:
+    """Return the last frame of all actions of the open file."""
+    return max((action.curve_frame_range[1] for action in bpy.data.actions), default=0.0)
 
 
 def _require_plausible(path: Path) -> None:

@@ -24,8 +24,10 @@ from ...core.bake.whole_frames import in_between
 from ...core.drive.driver import HeadMotion
 from ...core.errors import HeadError, OutputError
 from ...core.files.writing import replacing
+from ...core.heads.character_files import duration_of_gltf
 from ..characters import Member, ancestors, objects_of
 from ..frames import to_blender
+from ..gltf_seconds import base_is_right, inverted_base
 from ..heads.binding import CACHES
 from ..heads.family import armature_of, family_of
 from ..meshes import key_points, keys_of, mesh_of
@@ -158,20 +160,29 @@ def export_gltf(heads: Sequence[bpy.types.Object], path: Path) -> None:
             )
     if "gltf" not in dir(bpy.ops.export_scene):
         raise HeadError("Blender's glTF add-on is disabled. Enable it in Preferences > Add-ons.")
+    scene = bpy.context.scene
     with selected_for_export(chosen), keys_as_shown(chosen), saved_by_blender(path, _is_complete) as temporary:
-        bpy.ops.export_scene.gltf(
-            filepath=temporary,
-            check_existing=False,
-            export_format="GLB",
-            use_selection=True,
-            use_active_scene=True,  # an object may be in further scenes, each with a selection of its own
-            # One clip: players show one at a time, and a face consists of the keys of several meshes.
-            export_animation_mode="SCENE",
-            export_anim_scene_split_object=False,
-            export_anim_slide_to_zero=True,
-            export_cameras=False,
-            export_lights=False,
-        )
+        with inverted_base(scene):
+            _write_gltf(temporary)
+        if not base_is_right(scene, scene.frame_end - scene.frame_start, duration_of_gltf(Path(temporary))):
+            _write_gltf(temporary)
+
+
+def _write_gltf(path: str) -> None:
+    """Export what is selected, with the scene's frame range from 0 s on."""
+    bpy.ops.export_scene.gltf(
+        filepath=path,
+        check_existing=False,
+        export_format="GLB",
+        use_selection=True,
+        use_active_scene=True,  # an object may be in further scenes, each with a selection of its own
+        # One clip: players show one at a time, and a face consists of the keys of several meshes.
+        export_animation_mode="SCENE",
+        export_anim_scene_split_object=False,
+        export_anim_slide_to_zero=True,
+        export_cameras=False,
+        export_lights=False,
+    )
 
 
 def _character(head: bpy.types.Object) -> Iterator[bpy.types.Object]:

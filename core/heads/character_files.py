@@ -30,7 +30,9 @@ _VRM0 = {"blink_l": "Blink_L", "blink_r": "Blink_R", "lookup": "LookUp", "lookdo
 
 MAX_GLTF = 1 << 30
 """Largest size of a glTF file in bytes."""
-_RATES = (24.0, 24 / 1.001, 25.0, 30.0, 30 / 1.001, 48.0, 50.0, 60.0, 60 / 1.001, 90.0, 100.0, 120.0)
+_BLENDERS = (24 * 1.001, 30 * 1.001, 60 * 1.001)
+"""Rates at which Blender's glTF add-on writes what is animated at 23.976, 29.97 and 59.94 frames per second."""
+_RATES = (24.0, 24 / 1.001, 25.0, 30.0, 30 / 1.001, 48.0, 50.0, 60.0, 60 / 1.001, 90.0, 100.0, 120.0, *_BLENDERS)
 """Rates of animations, the most likely first where several fit."""
 _OFF = 0.02
 """Largest distance of a keyframe from a frame, in frames."""
@@ -92,10 +94,22 @@ def rate_of_times(times: FloatArray) -> float | None:
     return float(min((rate for rate in _RATES if rate >= densest - _OFF), default=_RATES[-1]))
 
 
+def duration_of_gltf(path: Path) -> float | None:
+    """Return the time of the last keyframe in a .glb, .gltf or .vrm file, in seconds; None if it cannot be read."""
+    with suppress(OSError, ValueError, struct.error, IndexError):
+        times = _times_of_gltf(path)
+        return float(times[np.isfinite(times)].max(initial=0.0))
+    return None
+
+
 def _rate_of_gltf(path: Path) -> float | None:
+    return rate_of_times(_times_of_gltf(path))
+
+
+def _times_of_gltf(path: Path) -> FloatArray:
+    """Return the times of all keyframes, (N,), in seconds."""
     content, binary = gltf_of(path)
-    times = list(_gltf_times(content, binary, path.parent))
-    return rate_of_times(np.concatenate(times)) if times else None
+    return np.concatenate([np.empty(0), *_gltf_times(content, binary, path.parent)])
 
 
 def _gltf_times(content: dict[str, Any], binary: bytes, folder: Path) -> Iterator[FloatArray]:

@@ -8,17 +8,25 @@ import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.animation import exporting
 from facemime.blender.animation.exporting import export_gltf
 from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.gltf_seconds import inverted_base
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
+from facemime.blender.rendering import set_rate
+from facemime.blender.timeline import rate_of
+from facemime.cli import character_files
+from facemime.cli.character_files import open_file
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError, OutputError
+from facemime.core.heads.character_files import duration_of_gltf
 from facemime.core.mesh.surface import NearestPoints
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from tests.helpers.characters import make_character
 from tests.helpers.commands import run
+from tests.helpers.curves import curves_of
 from tests.helpers.takes import performance
 
 FRAMES = (1, 20, 40)
@@ -69,6 +77,20 @@ def largest_distance(wanted: list[np.ndarray], got: list[np.ndarray]) -> float:
     return max(float(np.linalg.norm(b[NearestPoints(b).query(a)[0].ravel()] - a, axis=1).max()) for a, b in pairs)
 
 
+def blinking_box() -> bpy.types.Object:
+    """A box whose key has a single peak in frame 51 of 101."""
+    bpy.ops.mesh.primitive_cube_add()
+    box, scene = bpy.context.object, bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, 101
+    box.shape_key_add(name="Basis")
+    key = box.shape_key_add(name="Blink", from_mix=False)
+    key.points[0].co.x = 2.0
+    for frame, value in ((1, 0.0), (50, 0.0), (51, 1.0), (52, 0.0), (101, 0.0)):
+        key.value = value
+        key.keyframe_insert("value", frame=frame)
+    return box
+
+
 @pytest.mark.parametrize("keys", ["new", "named"])
 def test_the_clip_shows_what_blender_shows(tmp_path, keys):
     head = baked(add_head(bpy.context, units=keys == "named"), keys=keys)
@@ -81,6 +103,33 @@ def test_the_clip_shows_what_blender_shows(tmp_path, keys):
     assert "cameras" not in stated
     assert np.abs(wanted[0] - wanted[2]).max() > 1e-3
     assert largest_distance(wanted, reopened(path)) < 2e-5
+
+
+@pytest.mark.parametrize("add_on", ["installed", "dividing"])
+@pytest.mark.parametrize("rate", [24 / 1.001, 30 / 1.001, 60 / 1.001, 25.0, 29.325])
+def test_a_clip_lasts_as_long_as_in_blender_whatever_the_rate(rate, add_on, tmp_path, monkeypatch):
+    scene, box = bpy.context.scene, blinking_box()
+    set_rate(scene, rate)
+    if add_on == "dividing":  # as a later version may
+
+        def divided(work):
+            def done(path):
+                with inverted_base(bpy.context.scene):
+                    work(path)
+
+            return done
+
+        monkeypatch.setattr(exporting, "_write_gltf", divided(exporting._write_gltf))
+        importers = character_files._IMPORTERS
+        monkeypatch.setattr(character_files, "_IMPORTERS", importers | {".glb": divided(importers[".glb"])})
+    base, path = scene.render.fps_base, tmp_path / "box.glb"
+    export_gltf([box], path)
+    assert scene.render.fps_base == base
+    assert duration_of_gltf(path) == pytest.approx(100 / rate, rel=1e-5)
+    open_file(path)
+    (curve,) = curves_of(bpy.data.shape_keys[0])
+    (peak,) = [point.co[0] for point in curve.keyframe_points if point.co[1] > 0.9]
+    assert peak / rate_of(bpy.context.scene) == pytest.approx(50 / rate, rel=1e-5)
 
 
 def test_a_character_is_exported_with_bones_and_parts_and_the_selection_is_kept(tmp_path):

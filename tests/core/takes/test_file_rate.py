@@ -7,7 +7,14 @@ import struct
 import numpy as np
 import pytest
 
-from facemime.core.heads.character_files import MorphBind, expressions_of, gltf_of, rate_of_file, rate_of_times
+from facemime.core.heads.character_files import (
+    MorphBind,
+    duration_of_gltf,
+    expressions_of,
+    gltf_of,
+    rate_of_file,
+    rate_of_times,
+)
 
 
 def gltf(times, *, embedded=False):
@@ -32,7 +39,7 @@ def glb(document, data):
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
 
 
-@pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 30 / 1.001, 50.0, 60.0, 120.0])
+@pytest.mark.parametrize("rate", [24.0, 25.0, 30.0, 30 / 1.001, 30 * 1.001, 50.0, 60.0, 120.0])
 @pytest.mark.parametrize("suffix", [".glb", ".vrm", ".gltf"])
 def test_the_rate_of_gltf_is_that_on_whose_frames_its_keyframes_lie(tmp_path, rate, suffix):
     times = np.array([0, 1, 7, 11, 1203, 1204]) / rate
@@ -40,6 +47,7 @@ def test_the_rate_of_gltf_is_that_on_whose_frames_its_keyframes_lie(tmp_path, ra
     path = tmp_path / f"animation{suffix}"
     path.write_bytes(json.dumps(document).encode() if suffix == ".gltf" else glb(document, data))
     assert rate_of_file(path) == pytest.approx(rate, abs=1e-9)
+    assert duration_of_gltf(path) == pytest.approx(1204 / rate)
 
 
 def test_a_rate_that_fits_no_frames_is_dense_enough():
