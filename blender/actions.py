@@ -36,6 +36,9 @@ from .muting import Silenced, driven_paths, end_solo, keyed_paths, mute_paths, m
 _PEAK = 3.0
 """Height of a peak that is a keyframe, in errors."""
 
+_FAR = 100_000.0
+"""Frames by which a strip exceeds keyframes that repeat: an hour, in which Blender still tells fractions apart."""
+
 
 @dataclass(frozen=True)
 class Curve:
@@ -317,17 +320,35 @@ def _push_down(owner: bpy.types.ID, frames: NDArray[np.floating[Any]], name: str
     if data is None or data.action is None:
         return
     action, slot = data.action, getattr(data, "action_slot", None)
+    # Blender disregards the extrapolation of an action that is above no strip.
+    mode = data.action_extrapolation if any(track.strips for track in data.nla_tracks) else "HOLD"
     track = data.nla_tracks.new()
     track.name = name or action.name
     strip = track.strips.new(action.name, floor(action.frame_range[0]), action)
     if slot is not None:
         strip.action_slot = slot
-    first, last = min(action.frame_range[0], frames[0]), max(action.frame_range[1], frames[-1])
+    first, last = _played(data, mode, frames)
     _span(strip, float(floor(first)), float(ceil(last)))
-    strip.blend_type, strip.extrapolation = data.action_blend_type, data.action_extrapolation
+    strip.blend_type, strip.extrapolation = data.action_blend_type, mode
     if data.action_influence < 1.0:
         strip.use_animated_influence, strip.influence = True, data.action_influence
     data.action = None
+
+
+def _played(data: bpy.types.AnimData, mode: str, frames: NDArray[np.floating[Any]]) -> tuple[float, float]:
+    """Return the first and the last frame of a strip that plays what the active action does, in `frames` too."""
+    assert data.action is not None
+    curves, first, last = curves_in(data), data.action.curve_frame_range[0], data.action.curve_frame_range[1]
+    if mode == "NOTHING":
+        last = max(last, first + 1.0)  # Blender's shortest strip
+    else:
+        first, last = min(first, frames[0]), max(last, frames[-1])
+    repeats = any(len(curve.modifiers) for curve in curves)  # whatever the mode
+    goes_on = any(curve.extrapolation == "LINEAR" for curve in curves)
+    return (
+        first - _FAR if repeats or (goes_on and mode == "HOLD") else first,
+        last + _FAR if repeats or (goes_on and mode != "NOTHING") else last,
+    )
 
 
 def _span(strip: bpy.types.NlaStrip, first: float, last: float) -> None:

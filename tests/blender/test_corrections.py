@@ -14,6 +14,7 @@ from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.characters import make_character
+from tests.helpers.curves import curves_of
 from tests.helpers.takes import performance
 
 FRAMES = (5, 20, 30, 40, 55)
@@ -80,6 +81,23 @@ def test_another_bake_below_corrections_of_a_shot_that_begins_late_plays():
     np.testing.assert_allclose(values(head, after=1000), before, atol=1e-5)
     bake(head, start="scene")
     np.testing.assert_allclose(values(head, after=1000), before, atol=1e-4)
+
+
+def test_a_loop_of_the_body_goes_on_below_corrections():
+    objects = make_character(rig=True)
+    head, _ = bind_character(objects["head"])
+    armature, found = head.find_armature(), []
+    bone = armature.pose.bones[0]
+    for frame, x in ((1, 0.0), (13, 0.3), (25, 0.0)):
+        bone.location.x = x
+        bone.keyframe_insert("location", frame=frame, index=0)
+    curves_of(armature)[0].modifiers.new("CYCLES")
+    bake(head)
+    add_layer(head)
+    for frame in (37, 61, 13 + 240):
+        bpy.context.scene.frame_set(frame)
+        found.append(bone.location.x)
+    assert found == pytest.approx([0.3, 0.3, 0.3], abs=1e-5)
 
 
 def test_lashes_follow_corrections_of_the_skin():

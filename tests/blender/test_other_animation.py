@@ -6,6 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
+from facemime.blender.actions import Curve, write_curves
 from facemime.blender.animation.bake import remove_baked
 from facemime.blender.animation.conflicts import mute_under, playing_under
 from facemime.blender.animation.puppet import puppet_head
@@ -116,6 +117,47 @@ def test_a_take_is_added_to_the_animation_of_keys_on_request(moved, plain):
         assert not any("Muted" in warning for warning in report.warnings)
     remove_baked(head, own_targets(head))
     np.testing.assert_allclose(values_of(head), before, atol=1e-6)
+
+
+def moving_empty(kind, mode, *, strip):
+    """An object that moves along x from frame 10 to 30 in an action of an extrapolation, perhaps above a strip."""
+    empty = bpy.data.objects.new("Empty", None)
+    bpy.context.scene.collection.objects.link(empty)
+    data = empty.animation_data_create()
+    if strip:
+        empty.keyframe_insert("location", frame=1, index=1)
+        data.nla_tracks.new().strips.new("Other", 1, data.action)
+        data.action = None
+    for frame, x in ((10, 1.0), (20, 2.0), (30, 3.0)):
+        empty.location.x = x
+        empty.keyframe_insert("location", frame=frame, index=0)
+    data.action_extrapolation = mode
+    (curve,) = curves_of(empty)
+    if kind == "repeated":
+        curve.modifiers.new("CYCLES")
+    elif kind == "straight":
+        curve.extrapolation = "LINEAR"
+    elif kind == "of a manual range":
+        data.action.use_frame_range, data.action.frame_start, data.action.frame_end = True, 12, 25
+    return empty
+
+
+@pytest.mark.parametrize("strip", [False, True])
+@pytest.mark.parametrize("mode", ["HOLD", "HOLD_FORWARD", "NOTHING"])
+@pytest.mark.parametrize("kind", ["plain", "repeated", "straight", "of a manual range"])
+def test_animation_to_which_a_take_is_added_plays_as_before_in_all_frames(kind, mode, strip):
+    def played():
+        found = []
+        for frame in (-3000, 1, 11, 15, 28, 40, 90_000):
+            bpy.context.scene.frame_set(frame)
+            found.append(empty.location.x)
+        return found
+
+    empty = moving_empty(kind, mode, strip=strip)
+    before = played()
+    write_curves(empty, "Take", np.arange(5.0, 36.0), [Curve("location", 0, np.zeros(31))], add=True)
+    assert empty.animation_data.action is None
+    assert played() == pytest.approx(before, abs=1e-5)
 
 
 def _muted_curve(head):
