@@ -12,7 +12,7 @@ import bpy
 from mathutils import Matrix
 
 from ..blender import head_properties
-from ..blender.animation.clips import AnimationClip, clips_of, owners_of, play_single
+from ..blender.animation.clips import AnimationClip, clips_of, make_room, owners_of, play_single
 from ..blender.contexts import scene_of, showing_scene
 from ..blender.gltf_seconds import base_is_right, inverted_base
 from ..blender.heads.binding import bind_character, check_object, placements, turn_note
@@ -158,6 +158,7 @@ def open_file(path: Path) -> None:
         ) from error
     _require_plausible(path)
     clips = clips_of(owners_of(bpy.data.objects))
+    make_room(clips)
     if suffix in _GLTF:
         play_single(clips)
     # The importers of other files than Alembic and USD leave the range of the scene as it is.

@@ -10,7 +10,9 @@ import bpy
 import numpy as np
 
 from ...core.errors import HeadError
+from ..fcurves import find_curve
 from ..meshes import mesh_of
+from .bake_keys import value_path
 
 _JOINT = "|"
 """Separates the object, the take and the layer in the names of actions that the FBX importer makes."""
@@ -95,6 +97,20 @@ def play_single(clips: dict[str, AnimationClip]) -> None:
     for clip in clips.values():
         if not clip.plays and all(count[owner] == 1 for owner in clip.actions):
             _assign(clip)
+
+
+def make_room(clips: dict[str, AnimationClip]) -> None:
+    """Extend the ranges of shape keys to the keyframes of imported clips.
+
+    The importers of glTF and USD leave them at 0 to 1, to which Blender clips the values.
+    """
+    animated = ((owner, *played) for clip in clips.values() for owner, played in clip.actions.items())
+    for owner, action, handle in animated:
+        for key in owner.key_blocks if isinstance(owner, bpy.types.Key) else ():
+            if (curve := find_curve(action, handle, value_path(key.name), 0)) is not None:
+                values = [point.co[1] for point in curve.keyframe_points]
+                key.slider_min = min([key.slider_min, *values])
+                key.slider_max = max([key.slider_max, *values])
 
 
 def _assign(clip: AnimationClip) -> None:

@@ -7,6 +7,7 @@ import pytest
 from facemime.blender.animation.sampling import Sampling
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks
+from facemime.cli.character_files import open_file
 from facemime.core.bake.arkit import arkit_coefficients
 from facemime.core.face.landmarks import outer_eye_distance
 from facemime.core.face.names import COEFFICIENTS
@@ -144,3 +145,22 @@ def test_a_head_is_sampled_however_it_is_hidden_and_stays_so(hide, animated):
     check(sampling.take())
     bpy.context.view_layer.update()
     assert animated.visible_get() == hide.endswith("unselectable")
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usda"])
+def test_keys_below_0_and_above_1_in_files_of_other_programs_are_not_clipped(animated, tmp_path, suffix):
+    jaw, path = animated.data.shape_keys.key_blocks["jawOpen"], tmp_path / f"a{suffix}"
+    jaw.slider_min, jaw.slider_max = -1.0, 2.0
+    for frame, value in ((1, 0.2), (4, -0.6), (8, 1.4), (LAST, 0.2)):
+        jaw.value = value
+        jaw.keyframe_insert("value", frame=frame)
+    if suffix == ".glb":
+        bpy.ops.export_scene.gltf(filepath=str(path))
+    else:
+        bpy.ops.wm.usd_export(filepath=str(path), export_animation=True)
+    open_file(path)
+    found = set()
+    for frame in range(LAST + 1):
+        bpy.context.scene.frame_set(frame)
+        found |= {keys.key_blocks["jawOpen"].value for keys in bpy.data.shape_keys if "jawOpen" in keys.key_blocks}
+    assert (min(found), max(found)) == pytest.approx((-0.6, 1.4), abs=1e-3)
