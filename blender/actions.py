@@ -24,6 +24,7 @@ from .fcurves import (
     curves_in,
     curves_to_fill,
     disown_paths,
+    forget_contents,
     is_baked,
     own_paths,
     owned_paths,
@@ -135,8 +136,9 @@ def baked_curves(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
     return [
         fcurve
         for holder in baked_holders(owner)
+        for owned in (owned_paths(holder),)
         for fcurve in curves_in(holder)
-        if fcurve.data_path in owned_paths(holder)
+        if fcurve.data_path in owned
     ]
 
 
@@ -186,6 +188,7 @@ def remove_bake(owner: bpy.types.ID) -> set[str]:
         for fcurve in [fcurve for fcurve in fcurves if fcurve.data_path in owned]:
             fcurves.remove(fcurve)
         disown_paths(data)
+    forget_contents(owner)
     unmute_noted(owner)
     return removed
 

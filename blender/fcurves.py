@@ -5,12 +5,14 @@ tracks of its bakes, and actions that several characters share.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
+from zlib import crc32
 
 import bpy
+import numpy as np
 
-from .names import BAKE_PROPERTY, CURVES_PROPERTY, LAYER_PROPERTY
+from .names import BAKE_PROPERTY, CURVES_PROPERTY, LAYER_PROPERTY, WRITTEN_PROPERTY
 
 TRACK = "Facemime"
 """Name of a bake's NLA tracks, numbered if there are several; a renamed track belongs to the user."""
@@ -148,16 +150,56 @@ def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> 
 
 
 def owned_paths(holder: Holder | None) -> set[str]:
-    """Return the data paths of the curves of a holder that Facemime made."""
+    """Return the data paths of the curves of a holder that Facemime made.
+
+    They are known by what they contain where Blender gave the slot to another action, or a shape key another name.
+    """
     if holder is None or (action := holder.action) is None:
         return set()
     lines = "\n".join(str(action.get(name, "")) for name in _names(holder))
-    return set(filter(None, lines.split("\n")))
+    listed = set(filter(None, lines.split("\n")))
+    written = _written(holder)
+    present = {curve.data_path for curve in curves_in(holder)} if written else listed
+    if present <= listed:
+        return listed
+    contents = _contents(holder, present - listed)
+    if not listed:
+        known = contents.keys() & written.keys()
+        same = [curve for curve in known if contents[curve] == written[curve]]
+        if 2 * len(same) < max(len(known), 1):  # the user may have edited some of a bake's
+            return set()
+        listed = {path for path, _ in known}
+    lost = {content for (path, _), content in written.items() if path not in present}
+    return listed.union(path for (path, _), content in contents.items() if content in lost)
 
 
 def own_paths(holder: Holder, paths: Iterable[str]) -> None:
     """Note that Facemime made the curves of these data paths."""
-    _action(holder)[_names(holder)[-1]] = "\n".join(sorted(owned_paths(holder).union(paths)))
+    paths = set(paths)
+    _action(holder)[_names(holder)[-1]] = "\n".join(sorted(owned_paths(holder) | paths))
+    written = _written(holder) | _contents(holder, paths)
+    owner = holder.id_data
+    assert owner is not None
+    lines = (f"{content} {index} {path}" for (path, index), content in sorted(written.items()))
+    owner[WRITTEN_PROPERTY] = "\n".join(lines)
+
+
+def _written(holder: Holder) -> dict[tuple[str, int], str]:
+    """Return the contents of the curves that bakes wrote for the data-block of a holder, by data path and index."""
+    assert holder.id_data is not None
+    lines = [line.split(" ", 2) for line in str(holder.id_data.get(WRITTEN_PROPERTY, "")).split("\n") if line]
+    return {(path, int(index)): content for content, index, path in lines}
+
+
+def _contents(holder: Holder, paths: Collection[str]) -> dict[tuple[str, int], str]:
+    """Return checksums of the keyframes of the curves of a holder that have some data paths, by data path and index."""
+    found = {}
+    for curve in curves_in(holder):
+        if curve.data_path in paths:
+            points = np.empty(2 * len(curve.keyframe_points), dtype=np.float32)
+            curve.keyframe_points.foreach_get("co", points)
+            found[curve.data_path, curve.array_index] = f"{crc32(points.tobytes()):08x}"
+    return found
 
 
 def disown_paths(holder: Holder) -> None:
@@ -166,6 +208,12 @@ def disown_paths(holder: Holder) -> None:
     for name in _names(holder):
         if name in action:
             action[name] = ""
+
+
+def forget_contents(owner: bpy.types.ID) -> None:
+    """Forget what bakes wrote for a data-block, after all of it was removed."""
+    if WRITTEN_PROPERTY in owner:
+        del owner[WRITTEN_PROPERTY]
 
 
 def _names(holder: Holder) -> list[str]:

@@ -65,6 +65,11 @@ OWN_POSE_PROPERTY = "facemime_own_pose"
 CURVES_PROPERTY = "facemime_curves"
 """Custom property of an action: the data paths of the curves that Facemime made, one per line; numbered by slot."""
 
+WRITTEN_PROPERTY = "facemime_written"
+"""Custom property of a data-block: a checksum, the index and the data path of each curve that bakes wrote for it, one
+per line.
+"""
+
 BAKE_PROPERTY = "facemime_character"
 """Custom property of an action that a character plays: that of its bake."""
 

@@ -19,7 +19,7 @@ SUITES = (
     *("animated_keys", "animation_take", "attached_parts", "character_files", "moved_files", "performers", "soundness"),
     *("bake_modes", "control_points", "earlier_files", "key_table", "lips", "live", "live_deleted", "live_scene"),
     *("exports", "gltf", "identity_keys", "media_in_step", "other_animation", "overruled_poses", "own_placement"),
-    *("picture_settings", "time_of_takes"),
+    *("own_curves", "picture_settings", "time_of_takes"),
     *("chosen_character", "live_keys", "strengths_of_pose", "teaching_controls"),
     *("live_sources", "operators", "own_head", "panels", "pose_targets", "presets", "recording", "regions"),
     *("takes_files", "takes_list"),
