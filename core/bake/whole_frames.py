@@ -29,7 +29,8 @@ def curves_at(frames: FloatArray, values: FloatArray, at: FloatArray) -> FloatAr
     """Interpolate curves (N, K) at `frames` (N,) to the frames `at` (M,), (M, K).
 
     Cubics without overshoot lead through the values (Fritsch & Carlson 1980), and what is nearest to a prominent peak
-    or valley takes its value, so that eyes and lips that close do so in a frame. The first and the last value are held.
+    or valley takes its value, so that eyes and lips that close do so in a frame, however shortly. The first and the
+    last value are held.
     """
     values = np.asarray(values, dtype=np.float64)
     inside = np.clip(at, frames[0], frames[-1])
@@ -38,8 +39,12 @@ def curves_at(frames: FloatArray, values: FloatArray, at: FloatArray) -> FloatAr
     found = np.asarray(linalg.part("interpolate").PchipInterpolator(frames, values)(inside))
     nearest = np.abs(frames[:, None] - at).argmin(axis=1) if len(at) < 2 else _nearest(frames, at)
     for column, curve in zip(found.T, values.T, strict=True):
-        peaks = stops_of(curve, _PROMINENCE * float(np.ptp(curve)))[1:-1]
-        column[nearest[peaks]] = curve[peaks]
+        stops = stops_of(curve, _PROMINENCE * float(np.ptp(curve)))[1:-1]
+        places = nearest[stops]
+        around = (column[np.maximum(places - 1, 0)] + column[np.minimum(places + 1, len(at) - 1)]) / 2.0
+        # Of several in a frame the last one stays: what the frames around show least.
+        order = np.argsort(np.abs(curve[stops] - around), kind="stable")
+        column[places[order]] = curve[stops[order]]
     return found
 
 

@@ -1,6 +1,7 @@
 """Motion on whole frames: in its range, with its peaks, and turned on the sphere."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -38,6 +39,25 @@ def test_a_blink_between_frames_shuts_in_the_nearest_one():
     blink[49:52, 0] = [0.5, 1.0, 0.5]
     found = curves_at(frames, blink, whole_frames(frames))[:, 0]
     assert found.max() == 1.0 and found.argmax() == round(frames[50]) - 1
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@settings(max_examples=60)
+@given(
+    rate=st.floats(0.1, 1.5),
+    phase=st.floats(0.0, 1.0),
+    before=st.integers(1, 5),
+    after=st.integers(1, 5),
+    held=st.integers(1, 3),
+)
+def test_a_short_blink_shuts_in_a_frame_whatever_its_rate_and_phase(sign, rate, phase, before, after, held):
+    """So does a short opening between two shut eyes, the other way round."""
+    blink = np.zeros(80)
+    shape = [*np.linspace(0.0, 1.0, before + 1), *np.ones(held - 1), *np.linspace(1.0, 0.0, after + 1)[1:]]
+    blink[30 : 30 + len(shape)] = shape
+    frames = 1.0 + rate * (np.arange(80) + phase)
+    found = curves_at(frames, sign * blink[:, None], whole_frames(frames))[:, 0]
+    assert np.abs(found).max() == 1.0 and found[0] == found[-1] == 0.0
 
 
 def test_rotations_are_interpolated_on_the_sphere_and_lost_frames_are_bridged():
