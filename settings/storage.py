@@ -215,13 +215,14 @@ class _Saving:
 
     Attributes
     ----------
-    before : list of str
-        What `_references` referred to before, in its order.
+    before : list of str or None
+        What each of `_references`, in its order, referred to before; None if it was not changed. Blender keeps these
+        itself, and would load an image again whose path is set, without what was painted on it.
     copies : dict of Path to Path
         Files that were copied beside the .blend file.
     """
 
-    before: list[str] = []
+    before: list[str | None] = []
     copies: dict[Path, Path] = {}
 
 
@@ -229,11 +230,14 @@ def _before_saving(filepath: str, *_: object) -> None:
     """Copy the files of an unsaved .blend file beside it, and make the paths of takes relative to it."""
     blend = "" if Path(filepath).parent == Path(bpy.utils.user_resource("CONFIG")) else str(filepath)
     paths = [(owner, name, located(getattr(owner, name))) for owner, name in _references()]
-    _Saving.before = [str(old) if _is_line(name) else getattr(owner, name) for owner, name, old in paths]
     _Saving.copies = _copied({old for *_, old in paths}, Path(blend)) if blend and not bpy.data.filepath else {}
+    _Saving.before = []
     for owner, name, old in paths:
-        new = _Saving.copies.get(old, old)
-        _refer(owner, name, new, blend, getattr(owner, name) if new == old else str(new))
+        changes = _is_line(name) or old in _Saving.copies
+        _Saving.before.append((str(old) if _is_line(name) else getattr(owner, name)) if changes else None)
+        if changes:
+            new = _Saving.copies.get(old, old)
+            _refer(owner, name, new, blend, str(new))
 
 
 def _after_saving(*_: object) -> None:
@@ -246,7 +250,8 @@ def _after_saving(*_: object) -> None:
                 old.unlink()
     else:
         for (owner, name), path in zip(_references(), _Saving.before, strict=False):
-            _refer(owner, name, Path(path), bpy.data.filepath, path)
+            if path is not None:
+                _refer(owner, name, Path(path), bpy.data.filepath, path)
     _Saving.before, _Saving.copies = [], {}
 
 

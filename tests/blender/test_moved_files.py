@@ -5,6 +5,8 @@ from dataclasses import replace
 from pathlib import Path
 
 import bpy
+import cv2
+import numpy as np
 import pytest
 
 from facemime.blender.heads.new_heads import add_head
@@ -40,7 +42,7 @@ def keep(name="Take"):
 
 
 def save(path: Path, **options):
-    bpy.ops.wm.save_as_mainfile(filepath=str(path), relative_remap=False, **options)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), **options)
 
 
 def files(folder: Path) -> list[str]:
@@ -97,7 +99,7 @@ def test_takes_and_their_videos_move_beside_the_file_at_its_first_save(home, pro
     finally:
         preferences().property_unset("takes_folder")
     assert files(project) == ["shot.blend", "takes/Take.facetake", "takes/Take.mkv"] and not here.exists()
-    assert clip.filepath == str(project / "takes" / "Take.mkv")
+    assert clip.filepath == "//takes/Take.mkv"
     bpy.ops.wm.open_mainfile(filepath=str(project / "shot.blend"))
     (line,) = bpy.context.scene.facemime_takes.items
     assert line.path == "//takes/Take.facetake" and len(takes_store.read(line)) == 60
@@ -110,7 +112,7 @@ def test_a_cache_moves_with_its_modifier(home, project):
     modifier = add_head(bpy.context).modifiers.new("Cache", "MESH_CACHE")
     modifier.filepath = str(cache)
     save(project / "shot.blend")
-    assert modifier.filepath == str(project / "caches" / "Take.pc2") and Path(modifier.filepath).is_file()
+    assert modifier.filepath == "//caches/Take.pc2" and Path(bpy.path.abspath(modifier.filepath)).is_file()
 
 
 def test_a_saved_copy_has_takes_of_its_own_and_the_open_file_keeps_its(home, project):
@@ -211,3 +213,36 @@ def test_takes_of_a_file_that_was_saved_on_windows_are_found(project):
     assert len(takes_store.read(line)) == 60
     save(project / "shot.blend")
     assert line.path == "//takes/Anna.facetake"
+
+
+def painted(path: Path) -> bpy.types.Image:
+    """An image from a file, with a pixel that was painted and not saved."""
+    cv2.imwrite(str(path), np.zeros((8, 8, 3), np.uint8))
+    image = bpy.data.images.load(str(path))
+    image.use_fake_user = True
+    image.pixels[0] = 1.0
+    image.update()
+    return image
+
+
+def test_what_was_painted_on_a_texture_and_not_saved_is_kept_when_the_file_is_saved(home, project):
+    image = painted(project / "skin.png")
+    keep()
+    for path in (project / "shot.blend", project / "shot.blend", project / "other" / "shot.blend"):
+        path.parent.mkdir(exist_ok=True)
+        save(path)
+        assert image.is_dirty and image.pixels[0] == 1.0
+
+
+def test_paths_of_textures_and_videos_are_still_right_after_the_file_was_saved_elsewhere(home, project):
+    cv2.imwrite(str(project / "skin.png"), np.zeros((8, 8, 3), np.uint8))
+    image = bpy.data.images.load(str(project / "skin.png"))
+    image.use_fake_user = True
+    save(project / "shot.blend")
+    image.filepath = "//skin.png"
+    keep()
+    (project / "shots" / "10").mkdir(parents=True)
+    for _ in range(2):
+        save(project / "shots" / "10" / "shot.blend")
+        assert image.filepath == "//../../skin.png"
+        assert Path(bpy.path.abspath(bpy.context.scene.facemime_takes.items[0].path)).exists()

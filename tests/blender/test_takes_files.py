@@ -67,7 +67,7 @@ def test_takes_of_an_unsaved_file_are_in_the_users_documents():
 def test_a_file_saved_elsewhere_or_as_a_copy_finds_its_takes(imported, tmp_path):
     (tmp_path / "other").mkdir()
     for name, copy in (("copy.blend", True), ("moved.blend", False)):
-        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other" / name), copy=copy, relative_remap=False)
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other" / name), copy=copy)
         assert imported.path == ("//First.facetake" if copy else "//../First.facetake")
         assert len(takes_store.read(imported)) == 60
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "other" / "copy.blend"))
