@@ -60,10 +60,29 @@ def _remember(settings: FacemimeSettings, name: str, text: str) -> str:
     if selected_performer(settings) is None:
         add_performer(settings)
     performer = settings.performers[settings.performer]
-    performer.key = performer.key or uuid4().hex
+    if not performer.key or _is_shared(performer):
+        _give_key(performer)
     _session[performer.key, name] = text
     setattr(performer, name, text if settings.keep_calibrations else "")
     return str(performer.name)
+
+
+def _is_shared(performer: FacemimePerformer) -> bool:
+    """Return whether another performer of the file has the same key, as after a scene was copied."""
+    return [other.key for other in _everybody()].count(performer.key) > 1
+
+
+def _give_key(performer: FacemimePerformer) -> None:
+    """Give a performer a key of its own, with what is known already."""
+    known = {name: _known(performer, name) for name in _KNOWN}
+    performer.key = uuid4().hex
+    _session.update({(performer.key, name): text for name, text in known.items() if text})
+
+
+def _everybody() -> list[FacemimePerformer]:
+    """Return the performers of all scenes of the file."""
+    scenes = [scene for scene in bpy.data.scenes if scene.library is None]
+    return [performer for scene in scenes for performer in scene.facemime.performers]
 
 
 def write_learnt(settings: FacemimeSettings, learnt: Sequence[Learnt]) -> str:
@@ -105,7 +124,11 @@ def forget(performer: FacemimePerformer) -> None:
         setattr(performer, name, "")
 
 
-def _before_saving(*_: object) -> None:
+def _before_saving(filepath: str, *_: object) -> None:
+    if bpy.data.filepath and filepath != bpy.data.filepath:  # what is learnt in one file is not for its copy as well
+        for performer in _everybody():
+            if performer.key:
+                _give_key(performer)
     for scene in bpy.data.scenes:
         # What a file had before there was this setting stays.
         if scene.library is None and scene.facemime.is_property_set("keep_calibrations"):
@@ -128,9 +151,7 @@ def _follow_keeping(settings: FacemimeSettings) -> None:
 
 def stored_performers() -> list[FacemimePerformer]:
     """Return the performers whose calibrations are stored in the open .blend file, of all its scenes."""
-    scenes = [scene for scene in bpy.data.scenes if scene.library is None]
-    everybody = [performer for scene in scenes for performer in scene.facemime.performers]
-    return [performer for performer in everybody if any(getattr(performer, name) for name in _KNOWN)]
+    return [performer for performer in _everybody() if any(getattr(performer, name) for name in _KNOWN)]
 
 
 def clear_file() -> None:

@@ -92,3 +92,31 @@ def test_what_a_camera_teaches_about_the_performer_is_not_written_to_the_file(se
     ticks_until(lambda: read_calibration(settings) is not None)
     bpy.ops.facemime.stop_puppet()
     assert not stored_performers() and settings.performers[0].calibration == ""
+
+
+OTHER = replace(NEUTRAL, shape=NEUTRAL.shape * 1.1)
+
+
+def test_a_copied_scene_keeps_the_performers_of_the_first_as_they_were(settings):
+    write_calibration(settings, NEUTRAL)
+    bpy.ops.scene.new(type="FULL_COPY")
+    copied = bpy.context.scene.facemime
+    np.testing.assert_array_equal(read_calibration(copied).shape, NEUTRAL.shape)
+    write_calibration(copied, OTHER)
+    np.testing.assert_array_equal(read_calibration(settings).shape, NEUTRAL.shape)
+    np.testing.assert_array_equal(read_calibration(copied).shape, OTHER.shape)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_a_file_saved_under_another_name_has_performers_of_its_own(settings, tmp_path, kept):
+    settings.keep_calibrations = kept
+    write_calibration(settings, NEUTRAL)
+    bpy.ops.wm.save_mainfile()
+    first, second = bpy.data.filepath, str(tmp_path / "second.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=second)
+    np.testing.assert_array_equal(read_calibration(bpy.context.scene.facemime).shape, NEUTRAL.shape)
+    write_calibration(bpy.context.scene.facemime, OTHER)
+    bpy.ops.wm.save_mainfile()
+    for path, own in ((first, NEUTRAL), (second, OTHER)):
+        bpy.ops.wm.open_mainfile(filepath=path)
+        np.testing.assert_array_equal(read_calibration(bpy.context.scene.facemime).shape, own.shape)
