@@ -52,6 +52,9 @@ from ..own_pose import (
 
 FloatArray = NDArray[np.floating[Any]]
 
+_REACH = 0.5
+"""Distance of the skin from the neck, relative to the tolerance of lengths divided by that of angles (`ANGLE`)."""
+
 
 class Placement(NamedTuple):
     """Where the user's animation places a target in N frames; None where it does not.
@@ -186,6 +189,8 @@ class PoseTarget:
         if rotations is None and translations is None:
             return []
         hold_own(self.owner)
+        if angle and length and not self.bone and rotations is not None:
+            angle = self._finer(angle, length)
         curves = []
         if self.looking:
             length = None if angle is None else angle * float(np.linalg.norm(self._about()))
@@ -195,6 +200,15 @@ class PoseTarget:
         if (locations := self._location(rotations, translations, placed.rotations)) is not None:
             curves += self._curves("location", locations, length)
         return curves
+
+    def _finer(self, angle: float, length: float) -> float:
+        """Return the tolerance of angles with which an object that is far from the point about which it turns, as a
+        figure with its origin at its feet is, moves the head within the same error.
+        """
+        if self.pivot is None:
+            return angle
+        arm, reach = float(np.linalg.norm(self._about() / self._scale())), _REACH * length / angle
+        return angle * reach / (reach + arm)
 
     def _added(self, turns: FloatArray) -> FloatArray:
         """Return (..., 3, 3) rotations of the channels: `turns` about the axes of what the user's own pose turns."""

@@ -1,23 +1,30 @@
 """Targets of the pose of head and eyes: the head itself, bones, other objects."""
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
+from facemime.blender.animation.puppet import puppet_head
 from facemime.blender.animation.targets import PoseTarget, own_targets
 from facemime.blender.characters import rest_matrix, write_bones
 from facemime.blender.frames import to_blender
 from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.meshes import read_landmarks, read_vertices
-from facemime.blender.names import PART_PROPERTY
+from facemime.blender.names import PART_PROPERTY, PIVOT_PROPERTY
+from facemime.blender.rigs import read_rig
+from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.face.landmarks import EYE_CORNERS, outer_eye_distance
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.part_names import FaceBones
+from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.operators.puppet import running
 from tests.helpers.characters import make_character
 from tests.helpers.live_ticks import outcome_of_ticks, ticks_until
+from tests.helpers.takes import performance
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -124,3 +131,25 @@ def test_the_bone_of_a_flat_eye_turns_by_a_share_that_keeps_the_iris_between_the
         turned = armature.pose.bones[targets[eye].bone].matrix_basis.to_quaternion().angle
         assert abs(turned - 0.3 * targets[eye].strength) < 1e-4
     assert targets["eye_right"].turned(np.stack([looking] * 3)).shape == (3, 3, 3)
+
+
+@pytest.mark.parametrize("below", [0.0, 1.6, 20.0])
+def test_fewer_keyframes_err_as_little_however_far_the_origin_of_an_object_is_from_its_head(below):
+    head, scene, take = add_head(bpy.context), bpy.context.scene, performance()
+    for child in list(head.children):
+        bpy.data.objects.remove(child)
+    place = np.array(head.get(PIVOT_PROPERTY, (0.0, 0.0, 0.0))) + (0.0, 0.0, below)
+    head.data.transform(Matrix.Translation((0.0, 0.0, below)))
+    head[PIVOT_PROPERTY] = place.tolist()
+    pose = take.pose.copy()
+    pose[:, 1:4] += np.random.default_rng(0).normal(scale=0.01, size=(len(pose), 3)).astype(pose.dtype)
+    paths = []
+    for clean in (0.0, 0.01):
+        settings = PuppetSettings(bake=BakeSettings(clean=clean), smoothing=0.0, neutral=0.0)
+        puppet_head(scene, head, replace(take, pose=pose), settings)
+        paths.append([])
+        for frame in range(2, 60):
+            scene.frame_set(frame)
+            paths[-1].append(head.matrix_world @ Vector(place + (0.0, -0.09, 0.05)))
+    error = np.linalg.norm(np.subtract(*paths), axis=1).max() / read_rig(head).eye_distance
+    assert 0.001 < error < 0.025
