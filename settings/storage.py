@@ -35,6 +35,8 @@ MOVED = "moved.json"
 """File in the user's folder: new names of files that were in the extension's folder, by their earlier paths."""
 _FORMAT = "facemime-moved-files"
 _MAX_PATH = 4096
+_OF_LINES = ("path", "video")
+"""Properties of a take in the list that refer to files, which is relative in a saved file."""
 _session: dict[str, Path] = {}
 """New places of the files that the first save of the open file moved, for the undo steps before it."""
 
@@ -274,8 +276,7 @@ def _references() -> Iterator[tuple[Any, str]]:
         if scene.library is not None:
             continue
         for line in scene.facemime_takes.items:
-            if line.path:
-                yield line, "path"
+            yield from ((line, name) for name in _OF_LINES if getattr(line, name))
         if scene.sequence_editor is not None:
             yield from ((strip, "filepath") for strip in _strips(scene.sequence_editor) if strip.type == "MOVIE")
     for kind in (bpy.data.images, bpy.data.movieclips, bpy.data.sounds):
@@ -295,7 +296,7 @@ def _strips(editor: bpy.types.SequenceEditor) -> Iterable[Any]:
 
 
 def _is_line(name: str) -> bool:
-    return name == "path"
+    return name in _OF_LINES
 
 
 def _refer(owner: Any, name: str, path: Path, blend: str, other: str) -> None:

@@ -246,3 +246,18 @@ def test_paths_of_textures_and_videos_are_still_right_after_the_file_was_saved_e
         save(project / "shots" / "10" / "shot.blend")
         assert image.filepath == "//../../skin.png"
         assert Path(bpy.path.abspath(bpy.context.scene.facemime_takes.items[0].path)).exists()
+
+
+def test_the_video_of_a_take_is_found_after_the_folder_of_the_project_was_moved(home, project):
+    media = project / "media"
+    media.mkdir()
+    (media / "clip.mp4").write_bytes(b"video")
+    takes_store.keep(bpy.context.scene, performance(), "Take", str(media / "clip.mp4"))
+    save(project / "shot.blend")
+    moved = project.rename(project.parent / "elsewhere")
+    bpy.ops.wm.open_mainfile(filepath=str(moved / "shot.blend"))
+    scene = bpy.context.scene
+    (line,) = scene.facemime_takes.items
+    assert line.video == "//media/clip.mp4" and takes_store.video_of(scene, line) == moved / "media" / "clip.mp4"
+    save(moved / "scenes.blend")
+    assert takes_store.video_of(scene, line) == moved / "media" / "clip.mp4"
