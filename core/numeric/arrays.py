@@ -38,11 +38,18 @@ def as_points(
     return array
 
 
+_SAMPLED = 8
+"""Step between the pixels from which the range of a floating-point image is told."""
+_BRIGHTEST = 1.5
+"""Median of such an image above which its range is not 0 to 1, as one of 0 to 255 has 2 even in the dark."""
+
+
 def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
     """Convert to a contiguous 8-bit grey (H, W) or BGR (H, W, 3) image.
 
     Alpha is dropped. 16-bit images are reduced to 8 bits. Floats are expected from 0 to 1; those that are not finite
-    become black. Raises FacemimeError, with the name, if the shape or the type is not that of an image, or it is empty.
+    become black, and lights may exceed 1. Raises FacemimeError, with the name, if the shape, the type or the range is
+    not that of an image, or it is empty.
     """
     image = np.asarray(frame)
     if image.ndim == 3 and image.shape[2] == 1:
@@ -57,6 +64,11 @@ def as_image(frame: ArrayLike, name: str = "image") -> NDArray[np.uint8]:
         return np.ascontiguousarray((image >> 8).astype(np.uint8))
     if np.issubdtype(image.dtype, np.floating):
         known = np.nan_to_num(image, posinf=0.0, neginf=0.0)
+        usual = float(np.median(known[::_SAMPLED, ::_SAMPLED]))
+        if usual > _BRIGHTEST:
+            raise FacemimeError(
+                "{name} must be float in 0..1; its median is {usual:.3g}. Divide it by 255.", name=name, usual=usual
+            )
         return np.ascontiguousarray((np.clip(known, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8))
     if image.dtype == np.bool_:
         return np.ascontiguousarray(image.astype(np.uint8) * 255)

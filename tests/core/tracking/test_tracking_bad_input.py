@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from facemime.core.errors import FacemimeError
 from facemime.core.face.landmarks import EDGES, INNER, N_LANDMARKS
 from facemime.core.numeric.arrays import as_image
 from facemime.core.tracking.result import TrackResult
@@ -214,3 +215,13 @@ def test_in_a_crowd_one_of_the_largest_faces_is_tracked(tracker, face):
 def test_clouds_give_a_result_or_none(tracker, seed, blur, contrast):
     noise = np.random.default_rng(seed).normal(0, contrast, (240, 320)).astype(np.float32)
     look(tracker, np.clip(cv2.GaussianBlur(noise, (0, 0), blur) + 128, 0, 255).astype(np.uint8))
+
+
+@pytest.mark.parametrize("shape", [(40, 60), (40, 60, 3), (3, 3)])
+def test_a_floating_point_image_from_0_to_255_is_refused_and_bright_lights_are_not(shape):
+    image = np.random.default_rng(0).uniform(0.0, 255.0, shape).astype(np.float32)
+    with pytest.raises(FacemimeError, match=r"must be float in 0\.\.1; its median is .*Divide it by 255"):
+        as_image(image)
+    image /= 255.0
+    image[-1, -1] = 40.0
+    assert as_image(image).shape == shape
