@@ -52,6 +52,10 @@ class Network:
         self._outputs = list(outputs)
         self._net = read_network(onnx)
 
+    def __reduce__(self) -> tuple[type[Network], tuple[bytes | str, ...]]:
+        """Return what a copy, or one in another process, is made from."""
+        return Network, (self.onnx, *self._outputs)
+
     def __call__(self, images: NDArray[np.float32]) -> Outputs:
         """Return the outputs for standardised images (B, H, W), in the order of their names."""
         try:

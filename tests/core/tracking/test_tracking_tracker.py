@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import threading
 from pathlib import Path
 
@@ -231,3 +233,11 @@ def test_a_second_thread_changes_no_result_and_ends_with_its_context():
         assert [thread for thread in threading.enumerate() if thread.name.startswith("facemime-networks")]
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("facemime-networks")]
     assert two.track(portrait).found
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda tracker: pickle.loads(pickle.dumps(tracker))])
+def test_a_tracker_can_be_copied_and_sent_to_another_process(copied):
+    tracker, face = FaceTracker.load(), read_image(PORTRAIT)
+    assert tracker.track(face).found
+    other = copied(tracker)
+    np.testing.assert_array_equal(other.track(face).landmarks, tracker.track(face).landmarks)
