@@ -6,6 +6,7 @@ Each writes a new file; the previous one is kept.
 import math
 
 import bpy
+import numpy as np
 from bpy.props import EnumProperty, FloatProperty, IntProperty, StringProperty
 
 from ..blender.stubs import OperatorResult
@@ -38,6 +39,10 @@ class _AddsEditedTake(OnTake):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
         """Show the dialog."""
+        return self.reporting(self.ask, context)
+
+    def ask(self, context: bpy.types.Context) -> OperatorResult:
+        """Show the dialog; raises FacemimeError."""
         return context.window_manager.invoke_props_dialog(self)
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
@@ -48,6 +53,12 @@ class _AddsEditedTake(OnTake):
         line = takes_store.chosen(context.scene)
         edited = self.changed(context, takes_store.read(line, solved=False))
         takes_store.keep_beside(context.scene, edited, f"{line.name}_{self.suffix}")
+
+
+def _at_frame(take: Take, seconds: float) -> float:
+    """Return the time of a frame of `take` if `seconds`, which Blender's properties round, is meant to be that."""
+    nearest = float(take.times[np.abs(take.times - seconds).argmin()])
+    return nearest if math.isclose(nearest, seconds, rel_tol=1e-7) else seconds
 
 
 class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
@@ -67,14 +78,17 @@ class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
             ("TO", "To Playhead", "From the start to the current frame"),
         ),
     )
-    start: FloatProperty(name="Start (s)", description="Start of the part to keep, in seconds", min=0.0)
-    end: FloatProperty(name="End (s)", description="End of the part to keep, in seconds", min=0.0)
+    start: FloatProperty(name="Start (s)", description="Start of the part to keep, in seconds")
+    end: FloatProperty(name="End (s)", description="End of the part to keep, in seconds")
+    first: FloatProperty(options={"HIDDEN"})
+    last: FloatProperty(options={"HIDDEN"})
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+    def ask(self, context: bpy.types.Context) -> OperatorResult:
         """Show the dialog, set to the preview range if one is used, otherwise to the whole take."""
-        self.start, self.end = 0.0, takes_store.chosen(context.scene).length
+        times = takes_store.read(takes_store.chosen(context.scene), solved=False).times
+        self.start, self.end = self.first, self.last = times[0], times[-1]
         self.keep = "TIMELINE" if context.scene.use_preview_range else "SECONDS"
-        return super().invoke(context, event)
+        return super().ask(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the dialog, with the kept range in minutes and seconds."""
@@ -85,13 +99,12 @@ class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
         column.enabled = self.keep == "SECONDS"
         column.prop(self, "start")
         column.prop(self, "end")
-        length = takes_store.chosen(context.scene).length
-        start, end = (min(max(seconds, 0.0), length) for seconds in self.kept(context.scene))
+        start, end = (min(max(seconds, self.first), self.last) for seconds in self.kept(context.scene))
         text = f"{timecode(start)} - {timecode(end)}   ({timecode(max(end - start, 0.0))})"
         layout.label(text=text, translate=False, icon="TIME")
 
     def kept(self, scene: bpy.types.Scene) -> tuple[float, float]:
-        """Return the range that is kept, seconds from the first frame of the take; it may extend beyond its end."""
+        """Return the range that is kept, seconds in the take's own time; it may extend beyond its ends."""
         start = take_start(scene)
         if self.keep == "TIMELINE":
             frames = frame_range(scene)
@@ -99,13 +112,13 @@ class FACEMIME_OT_trim_take(_AddsEditedTake, bpy.types.Operator):
         if self.keep == "FROM":
             return seconds_of(scene, start), math.inf
         if self.keep == "TO":
-            return 0.0, seconds_of(scene, start)
+            return -math.inf, seconds_of(scene, start)
         return self.start, self.end
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """Return `take`, trimmed."""
-        first, (start, end) = float(take.times[0]), self.kept(context.scene)
-        return restart(trim(take, first + start, first + end))
+        start, end = (_at_frame(take, seconds) for seconds in self.kept(context.scene))
+        return restart(trim(take, start, end))
 
 
 @with_settings(REPAIR)
@@ -142,7 +155,7 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
     suffix = "Edited"
 
     other: StringProperty(name="Take", description="Take to insert")
-    start: FloatProperty(name="Start (s)", description="Time at which it is inserted, in seconds", min=0.0)
+    start: FloatProperty(name="Start (s)", description="Time at which it is inserted, in seconds")
     blend: _BLEND_PROPERTY
 
     @classmethod
@@ -151,12 +164,13 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
         several = len(context.scene.facemime_takes.items) > 1
         return super().poll(context) and require(cls, several, "Record or import another take first")
 
-    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> OperatorResult:
+    def ask(self, context: bpy.types.Context) -> OperatorResult:
         """Show the dialog; by default the newest other take is inserted at the current frame."""
         selected = takes_store.chosen(context.scene)
         self.other = [line.name for line in context.scene.facemime_takes.items if line != selected][-1]
-        self.start = max(0.0, seconds_of(context.scene, take_start(context.scene)))
-        return super().invoke(context, event)
+        first = float(takes_store.read(selected, solved=False).times[0])
+        self.start = max(first, seconds_of(context.scene, take_start(context.scene)))
+        return super().ask(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the dialog."""
@@ -171,7 +185,7 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
         if line is None:
             raise FacemimeError("This take is not in the list. Select the take to insert.")
         insert = takes_store.read(line, solved=False)
-        insert = shift_time(insert, self.start + float(take.times[0]) - float(insert.times[0]))
+        insert = shift_time(insert, _at_frame(take, self.start) - float(insert.times[0]))
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 
 

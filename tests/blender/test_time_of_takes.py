@@ -15,6 +15,7 @@ from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
 from facemime.sessions.show import TakeShow
+from facemime.settings import takes_store
 from tests.helpers.commands import run
 from tests.helpers.curves import curves_of
 from tests.helpers.owners import UNDER_WINE
@@ -131,6 +132,47 @@ def test_preview_bake_and_playhead_share_the_frame_at_which_a_take_was_put(tmp_p
     scene.frame_set(60)
     assert bpy.ops.facemime.trim_take(keep="FROM") == {"FINISHED"}
     assert takes.items[takes.index].length == pytest.approx(60 / 25 - 20 / 25, abs=0.05)
+
+
+@pytest.fixture
+def late(tmp_path, takes):
+    """A take in the list whose first frame is at 0.52 s, in frame 14, as those of tables may be."""
+    bpy.context.scene.render.fps = 25
+    take = performance()
+    save_take(replace(take, times=take.times + 0.52), tmp_path / "late.facetake")
+    bpy.ops.facemime.import_take(filepath=str(tmp_path / "late.facetake"))
+    return takes_store.read(takes.items[0])
+
+
+@pytest.mark.parametrize(("keep", "kept"), [("TIMELINE", slice(6, 17)), ("FROM", slice(11, None)), ("TO", slice(12))])
+def test_the_timeline_trims_a_take_that_begins_late_where_it_is_seen(late, takes, keep, kept):
+    scene = bpy.context.scene
+    scene.use_preview_range = True
+    scene.frame_preview_start, scene.frame_preview_end = 20, 30
+    scene.frame_set(25)
+    assert bpy.ops.facemime.trim_take(keep=keep) == {"FINISHED"}
+    np.testing.assert_array_equal(takes_store.read(takes.items[1]).shape, late.shape[kept])
+
+
+def test_seconds_of_trimming_are_the_take_s_own_as_the_refusal_says(late, takes):
+    first, last = (float(np.float32(late.times[place])) for place in (0, -1))
+    assert bpy.ops.facemime.trim_take(start=first, end=last) == {"FINISHED"}
+    assert len(takes_store.read(takes.items[1])) == len(late)
+    takes.index = 0
+    with pytest.raises(RuntimeError, match=r"between 0.1 s and 0.4 s. Use times from 0.52 s to 2.88 s"):
+        bpy.ops.facemime.trim_take(start=0.1, end=0.4)
+
+
+def test_a_take_is_inserted_into_one_that_begins_late_at_its_own_time(late, takes, tmp_path):
+    other = performance(20)
+    save_take(other, tmp_path / "other.facetake")
+    bpy.ops.facemime.import_take(filepath=str(tmp_path / "other.facetake"))
+    takes.index = 0
+    assert bpy.ops.facemime.punch_in_take(other="other", start=0.96, blend=0.1) == {"FINISHED"}
+    edited = takes_store.read(takes.items[1])
+    np.testing.assert_allclose(edited.times, late.times, atol=1e-9)
+    np.testing.assert_array_equal(edited.shape[:11], late.shape[:11])
+    np.testing.assert_allclose(edited.shape[19], other.shape[8], atol=2e-4)
 
 
 def test_a_take_keeps_its_own_time_after_the_start():
