@@ -196,7 +196,9 @@ def unpack(line: FacemimeTake) -> Path:
     path = new_path(line.name)
     save_take(take, path)
     line.path, line.packed = relative(path), None
-    if text is not None:
+    # A full copy of a scene shares the text.
+    lines = (other for scene in bpy.data.scenes for other in scene.facemime_takes.items)
+    if text is not None and all(other.packed != text for other in lines):
         bpy.data.texts.remove(text)
     return path
 

@@ -37,6 +37,18 @@ def test_a_packed_take_needs_no_file_and_can_be_unpacked(imported, tmp_path):
     assert line.packed is None and not bpy.data.texts and (tmp_path / "takes" / "First.facetake").is_file()
 
 
+def test_unpacking_a_take_keeps_it_in_a_full_copy_of_the_scene(imported, takes, tmp_path):
+    assert bpy.ops.facemime.pack_take() == {"FINISHED"}
+    (tmp_path / "First.facetake").unlink()
+    assert bpy.ops.scene.new(type="FULL_COPY") == {"FINISHED"}
+    copied = bpy.context.scene.facemime_takes.items[0]
+    takes_store.unpack(copied)
+    for line in (copied, takes.items[0]):
+        assert len(takes_store.read(line)) == len(performance())
+    takes_store.unpack(takes.items[0])
+    assert not bpy.data.texts
+
+
 def test_problems_with_a_take_are_reported(imported, tmp_path):
     (tmp_path / "First.facetake").unlink()
     with pytest.raises(RuntimeError, match="is missing"):
