@@ -181,10 +181,15 @@ class FACEMIME_OT_punch_in_take(_AddsEditedTake, bpy.types.Operator):
 
     def changed(self, context: bpy.types.Context, take: Take) -> Take:
         """Return `take` with the other one inserted."""
-        line = context.scene.facemime_takes.items.get(self.other)
-        if line is None:
+        # Several takes may have the same name: like the dialog's default, the newest that is not the selected one.
+        selected = takes_store.chosen(context.scene)
+        named = [line for line in context.scene.facemime_takes.items if line.name == self.other]
+        others = [line for line in named if line != selected]
+        if named and not others:
+            raise FacemimeError("A take cannot be inserted into itself. Select another take to insert.")
+        if not others:
             raise FacemimeError("This take is not in the list. Select the take to insert.")
-        insert = takes_store.read(line, solved=False)
+        insert = takes_store.read(others[-1], solved=False)
         insert = shift_time(insert, _at_frame(take, self.start) - float(insert.times[0]))
         return punch_in(take, insert, float(insert.times[0]), float(insert.times[-1]), self.blend)
 

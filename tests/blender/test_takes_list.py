@@ -1,6 +1,7 @@
 """The list of takes: showing, editing and baking the selected take."""
 
 import wave
+from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -165,6 +166,21 @@ def test_another_take_is_inserted_by_punch_in(imported, takes, tmp_path):
     assert take.info["punched_in"] == [[pytest.approx(1.4), pytest.approx(1.4 + 19 / 25)]]
     with pytest.raises(RuntimeError, match="This take is not in the list"):
         bpy.ops.facemime.punch_in_take(other="Nobody")
+    with pytest.raises(RuntimeError, match="cannot be inserted into itself"):
+        bpy.ops.facemime.punch_in_take(other=takes.items[takes.index].name)
+
+
+def test_of_takes_with_the_same_name_the_one_that_is_not_selected_is_inserted(imported, takes, tmp_path):
+    (tmp_path / "retakes").mkdir()
+    other = performance(20)
+    save_take(replace(other, shape=other.shape + 0.5), tmp_path / "retakes" / "First.facetake")
+    bpy.ops.facemime.import_take(filepath=str(tmp_path / "retakes" / "First.facetake"))
+    for selected in (0, 2):  # the edited take was added below the first one
+        takes.index = selected
+        bpy.ops.facemime.punch_in_take(other="First", start=0.0, blend=0.1)
+        edited = takes_store.read(takes.items[selected + 1]).shape[8]
+        inserted = other.shape[8] + 0.5 if selected == 0 else performance().shape[8]
+        np.testing.assert_allclose(edited, inserted, atol=1e-3)
 
 
 @pytest.mark.skipif(not bpy.app.build_options.audaspace, reason="this bpy was built without sound")
