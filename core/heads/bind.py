@@ -155,7 +155,7 @@ def bind_landmarks(
     Raises
     ------
     HeadError
-        If there are fewer than four marks, they lie on one line, or no face is found.
+        If there are fewer than four marks, they lie on one line, a vertex of `faces` is missing, or no face is found.
 
     Notes
     -----
@@ -176,6 +176,14 @@ def bind_landmarks(
     if len(places) < N_LANDMARKS:
         raise HeadError(TOO_COARSE)
     polygons = np.asarray(faces)
+    missing = polygons[(polygons < -1) | (polygons >= len(places))]
+    if len(missing):
+        raise HeadError(
+            "A face of the mesh refers to vertex {vertex}, which does not exist. Use vertices from 0 to {last}, and -1 "
+            "to pad faces with fewer corners.",
+            vertex=missing[0],
+            last=len(places) - 1,
+        )
     return _marked(places, polygons, picked, paint) if picked else _unmarked(places, polygons, paint)
 
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from facemime.core.errors import HeadError
 from facemime.core.face.landmarks import LOWER_LIDS, UPPER_LIDS, from_ibug
-from facemime.core.heads.bind import bind_landmarks
+from facemime.core.heads.bind import bind_head, bind_landmarks
 from facemime.core.heads.checks import check_head
 from facemime.core.heads.proposal import propose_regions
 from facemime.core.heads.regions import hold_landmarks
@@ -30,6 +31,14 @@ def test_the_check_reports_problems_and_remedies():
     told = " ".join(finding.problem for finding in findings)
     assert "Landmarks 0, 1 share vertices" in told and "The region lower is empty" in told
     assert all(finding.remedy.endswith(".") for finding in findings)
+
+
+@pytest.mark.parametrize("vertex", [-2, len(VERTICES)])
+def test_a_head_whose_faces_have_missing_vertices_is_refused(vertex):
+    faces = HEAD.faces.copy()
+    faces[5, 0] = vertex
+    with pytest.raises(HeadError, match=f"refers to vertex {vertex}, .* from 0 to {len(VERTICES) - 1},"):
+        bind_head(VERTICES, faces)
 
 
 def test_landmarks_whose_weight_fades_out_are_found():
