@@ -197,7 +197,7 @@ class FACEMIME_OT_next_doubtful_frame(OnTake, bpy.types.Operator):
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
         take = takes_store.read(takes_store.chosen(scene), solved=False)
-        places = [frame_at(scene, take, time) for time in take.times[doubtful_frames(take)].tolist()]
+        places = [frame_at(scene, time) for time in take.times[doubtful_frames(take)].tolist()]
         if not places:
             report(self, "The tracker was sure of every frame of this take")
             return

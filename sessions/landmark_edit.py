@@ -61,7 +61,7 @@ class LandmarkEdit:
         self._landmarks: FloatArray | None = None
         self._box = FreeBox(0.0, 0.0, 1.0, 1.0)
         self._zoom, self._middle = 1.0, np.zeros(2)
-        self.editor.go_to(float(take.times[0]) + seconds_of(scene, take_start(scene)))
+        self.editor.go_to(seconds_of(scene, take_start(scene)))
         self._at = scene.frame_current_final
         self.show_in_scene(scene)
 
@@ -164,7 +164,7 @@ class LandmarkEdit:
         if scene.name != self.scene or scene.frame_current_final == self._at:
             return False
         self._at = scene.frame_current_final
-        self.editor.go_to(float(self.editor.take.times[0]) + seconds_of(scene, take_start(scene)))
+        self.editor.go_to(seconds_of(scene, take_start(scene)))
         self.changed()
         return True
 
@@ -183,7 +183,7 @@ class LandmarkEdit:
 
     def show_in_scene(self, scene: bpy.types.Scene) -> None:
         """Let the scene show the frame that is edited."""
-        go_to_frame(scene, frame_at(scene, self.editor.take, self.editor.time))
+        go_to_frame(scene, frame_at(scene, self.editor.time))
         self._at = scene.frame_current_final
         self.changed()
 
@@ -205,9 +205,9 @@ def _finder(video: Path | None) -> FrameFinder | None:
         return None
 
 
-def frame_at(scene: bpy.types.Scene, take: Take, time: float) -> float:
+def frame_at(scene: bpy.types.Scene, time: float) -> float:
     """Return the frame of a scene that shows a time of a take, in seconds."""
-    return float(frames_of(scene, np.array([time - take.times[0]]), take_start(scene))[0])
+    return float(frames_of(scene, np.array([time]), take_start(scene))[0])
 
 
 def go_to_frame(scene: bpy.types.Scene, frame: float) -> None:

@@ -66,7 +66,7 @@ def _draw_landmarks(edit: LandmarkEdit, scale: float) -> None:
 def _draw_words(edit: LandmarkEdit, box: FreeBox, scale: float) -> None:
     editor, size = edit.editor, _TEXT * scale
     left, top = box.left + 2.0 * size, box.top - 2.5 * size
-    time = timecode(editor.time - float(editor.take.times[0]))
+    time = timecode(editor.time)
     lines = [_("{time}   frame {frame} of {count}").format(time=time, frame=editor.frame + 1, count=len(editor.take))]
     if not editor.found:
         lines.append(_("No face in this frame"))

@@ -5,9 +5,11 @@ import numpy as np
 import pytest
 
 from facemime.blender.heads.new_heads import add_head
+from facemime.blender.timeline import seconds_of
 from facemime.blender.viewports import FreeBox
 from facemime.core.takes.file import load_take, save_take
 from facemime.core.takes.pins import pins_of
+from facemime.core.takes.timing import shift_time
 from facemime.sessions.landmark_edit import LandmarkEdit
 from facemime.sessions.show import TakeShow
 from facemime.settings import takes_store
@@ -185,3 +187,19 @@ def test_next_doubtful_frame_goes_to_the_least_certain_frame_first(tmp_path):
 def test_landmarks_cannot_be_edited_without_a_window(line):
     with pytest.raises(RuntimeError, match="no 3D Viewport"):
         bpy.ops.facemime.edit_landmarks()
+
+
+def test_the_editor_shows_the_frame_of_a_late_take_that_the_preview_shows(tmp_path):
+    scene, path = bpy.context.scene, tmp_path / "late.facetake"
+    take = shift_time(performance(60), 0.52 - float(performance(60).times[0]))
+    save_take(take, path)
+    line = takes_store.add(scene, path)
+    for number in (5, 30):
+        scene.frame_set(round(1 + float(take.times[number]) * scene.render.fps / scene.render.fps_base))
+        edit = LandmarkEdit(scene, line, 0)
+        nearest = np.abs(take.times - seconds_of(scene)).argmin()
+        assert edit.editor.frame == nearest
+        edit.editor.step(1)
+        edit.show_in_scene(scene)
+        assert seconds_of(scene) == pytest.approx(edit.editor.time, abs=0.5 / scene.render.fps)
+        edit.close()
