@@ -177,7 +177,7 @@ def punch_in(take: Take, insert: Take, start: float, end: float, blend: float = 
         inserted = replace(inserted, shape_params=unknown)
     # Blend towards both ends, but only where both takes have a face.
     edge = np.minimum(inserted.times - start, end - inserted.times)
-    share = np.clip(edge / max(blend, 1e-9), 0.0, 1.0)
+    share = np.clip(edge / blend, 0.0, 1.0) if blend > 0.0 else np.ones(len(edge))
     under = sample(take, inserted.times)
     share[~under.found] = 1.0
     share[~inserted.found & under.found] = 0.0

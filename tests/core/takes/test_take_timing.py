@@ -123,6 +123,14 @@ def test_a_punched_in_part_replaces_its_span_and_blends_at_both_ends():
     assert np.isfinite(out.shape_params).all()
 
 
+def test_a_part_that_is_punched_in_without_a_blend_is_complete():
+    take = make_take(90)
+    other = replace(take, shape=take.shape + np.float32(0.1))
+    out = punch_in(take, other, float(take.times[30]), float(take.times[50]), blend=0.0)
+    changed = np.abs(out.shape - take.shape).max(axis=(1, 2)) > 0.05
+    np.testing.assert_array_equal(np.flatnonzero(changed), np.arange(30, 51))
+
+
 def test_punching_in_uses_the_take_that_has_a_face():
     take, other = performance(), performance()
     for array in (other.shape, other.pose, other.landmarks):
