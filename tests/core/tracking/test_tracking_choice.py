@@ -78,6 +78,22 @@ def test_requesting_another_face_before_the_first_frame_changes_nothing(
     assert person(tracker.track(crowd)) == "middle"
 
 
+def test_the_neighbour_is_not_taken_while_the_chosen_face_is_out_of_view(tracker: FaceTracker) -> None:
+    sample = [frame[90:390, 180:460] for frame in sample_frames(45)]
+    neighbour = cv2.VideoCapture(str(SAMPLE)).read()[1][90:390, 180:460]
+    # Somebody else: of the same size and in the same light, but with another face.
+    neighbour = cv2.warpAffine(neighbour, np.float32([[0.8, 0, 28], [0, 1.1, -15]]), (280, 300), borderMode=1)
+    seen = []
+    tracker.choose(*LEFTMOST)
+    for number, frame in enumerate(sample):
+        hidden = 5 <= number < 30
+        result = tracker.track(np.hstack([np.full_like(frame, 90) if hidden else frame, neighbour]))
+        seen.append(result.found and ("own" if result.pose[4] < 280 else "neighbour"))
+    assert set(seen[:5]) == {"own"}
+    assert not any(seen[5:30])
+    assert set(seen[-10:]) == {"own"}
+
+
 class Still(LiveSource):
     """The same image, endlessly."""
 

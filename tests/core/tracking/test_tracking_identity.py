@@ -95,7 +95,7 @@ def test_after_a_loss_the_performer_is_distinguished_from_the_bystander() -> Non
     identity.recognises(own)
     identity.update_bystander(other, at(300.0))
     identity.frame += 1
-    assert identity.candidates([other, own], [at(297.0), at(330.0)]) == [1]
+    assert identity.candidates([other, own], [at(297.0), at(330.0)], [True, True]) == [1]
 
 
 def test_an_ambiguous_face_is_the_bystanders_where_the_bystander_just_was() -> None:
@@ -105,8 +105,24 @@ def test_an_ambiguous_face_is_the_bystanders_where_the_bystander_just_was() -> N
     identity.recognises(own)
     identity.update_bystander(other, at(300.0))
     identity.frame += 1
-    assert identity.candidates([new], [at(500.0)]) == [0]
-    assert identity.candidates([new], [at(303.0)]) == []
+    assert identity.candidates([new], [at(500.0)], [True]) == [0]
+    assert identity.candidates([new], [at(303.0)], [True]) == []
+
+
+def test_somebody_unknown_away_from_where_the_performer_was_lost_is_a_bystander() -> None:
+    identity = PerformerIdentity()
+    own, other = looks(8, 2)
+    identity.recognises(own)
+    assert identity.candidates([other], [at(500.0)], [False]) == []
+    assert identity.crowded
+    assert identity.candidates([other, own], [at(500.0), at(300.0)], [False, False]) == [1]
+
+
+def test_a_face_that_looks_changed_is_the_performers_where_it_was_lost() -> None:
+    identity = PerformerIdentity()
+    own, changed = looks(9, 2)
+    identity.recognises(own)
+    assert identity.candidates([changed], [at(300.0)], [True]) == [0]
 
 
 def test_it_is_crowded_only_while_a_bystander_was_seen_recently() -> None:

@@ -208,7 +208,7 @@ def test_a_lost_face_is_awaited_before_another_is_taken(
     for _ in range(4):
         assert not tracker.track(hidden).found
     assert error_percent(tracker.track(both).landmarks, small) < 5.0
-    results = [tracker.track(hidden) for _ in range(40)]
+    results = [tracker.track(hidden) for _ in range(80)]
     assert error_percent(results[-1].landmarks, large) < 5.0
 
 
