@@ -44,6 +44,10 @@ _ALIKE = 0.8
 """Similarity above which a face away from the place where the performer's was lost may be theirs. Chosen on every
 second of 51 clips of strangers: 94 % of the frames of the same person are, half a second to two seconds later, and
 3.5 % of other people's; on the other clips 89 and 3 %. At 0.75 these are 96 and 12 %, and 92 and 12 %."""
+_ALIKE_ALONE = 0.7
+"""The same where nobody else was seen yet, as performers who are alone may come back in another light: 97 % of the same
+person's frames exceed it, and 93 % on the other clips, in strong light from aside 85 and 82 %; other people's 25 and
+23 %."""
 _NEARBY = 1.5
 """Distance in eye distances from that place within which it may be theirs whatever it looks like: hands, light and
 jump cuts change looks at once, and faces side by side are farther apart."""
@@ -205,7 +209,8 @@ class PerformerIdentity:
             margin = self._margin(descriptor)
             somebody = any(other.continues(pose, self.frame) for other in self._bystanders)
             # Neighbours who look alike are even more similar to how they themselves looked before.
-            alike = self._own is None or (float(self._own @ descriptor) > _ALIKE and margin > 0.0)
+            least = _ALIKE if self._bystanders else _ALIKE_ALONE
+            alike = self._own is None or (float(self._own @ descriptor) > least and margin > 0.0)
             if (near or alike) and (margin > _MARGIN or (margin > -_TOLERANCE and not somebody)):
                 own.append(i)
             elif somebody or not near:
