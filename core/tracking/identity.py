@@ -293,7 +293,10 @@ def _beside_others(
     """Remember the faces beside the chosen one as bystanders', and return it."""
     # If the chosen one is no face after all, the performer is among the others.
     if chosen is not None and chosen.confidence >= CERTAIN:
+        own = describe_face(grey, chosen.pose)
         for other in candidates:
             if other.confidence >= CERTAIN and _away(other, chosen.pose) > _NEARBY:
-                identity.update_bystander(describe_face(grey, other.pose), other.pose)
+                descriptor = describe_face(grey, other.pose)
+                if float(own @ descriptor) < _ALIKE:  # pictures of performers would be taken for them as they change
+                    identity.update_bystander(descriptor, other.pose)
     return chosen
