@@ -70,6 +70,13 @@ class Member:
         return np.asarray(linalg.inv(self.to_mesh[:, :3]).T)
 
 
+def places_in(head: bpy.types.Object, obj: bpy.types.Object) -> NDArray[np.float64]:
+    """Return the vertices (V, 3) of another mesh at rest in the frame of `head`."""
+    move = np.array(rest_matrix(head).inverted_safe() @ rest_matrix(obj))
+    local = to_blender(read_vertices(mesh_of(obj)))
+    return from_blender(local @ move[:3, :3].T + move[:3, 3]).astype(np.float64)
+
+
 def members_of(head: bpy.types.Object) -> list[Member]:
     """Return the meshes that a performance moves: the head, and those that have vertices of moving parts."""
     moved = [obj for obj in objects_of(head) if np.isin(_rigid(head, read_kinds(mesh_of(obj))), _MOVED).any()]

@@ -157,7 +157,7 @@ def _what_was_muted(silenced: Sequence[Silenced]) -> str:
 
 
 def _muted_keys(obj: bpy.types.Object, bake: BakeSettings) -> str:
-    """Return a warning that lists the muted shape keys of the mapping; "" if there are none."""
+    """Return a warning that names the mapping's muted shape keys, or "" if there are none."""
     keys = mesh_of(obj).shape_keys
     if bake.keys != "mapped" or keys is None:
         return ""

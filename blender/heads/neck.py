@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -16,16 +16,16 @@ from ...core.face.landmarks import JAW, outer_eye_distance
 from ...core.heads.part_names import FaceBones
 from ...core.heads.rig import neck_of
 from ...core.numeric.arrays import FloatArray
-from ..characters import objects_of, read_bones, rest_matrix, write_bones
+from ..characters import objects_of, places_in, read_bones, rest_matrix, write_bones
 from ..frames import from_blender, to_blender
 from ..meshes import armature_data, is_head, mesh_of, read_landmarks, read_vertices, rest_bones
 from ..names import NECK_PROPERTY
 from ..view_layers import select_alone
 from .family import armature_of, family_of
 
-_BONE = "Head"
-_BODY_BONE = "Body"
-"""The bones. The second never moves, as Blender scales the weights of a vertex so that they add up to 1."""
+_NAMES = "Head", "Body"
+"""Bones, numbered where a mesh has a vertex group of that name. The second never moves: Blender scales the weights of a
+vertex so that they add up to 1."""
 _BELOW_CHIN = (0.05, 0.8)
 """Heights below the chin, in outer-eye distances, between which the head passes into the body: a neck is about as long.
 """
@@ -54,22 +54,28 @@ def give_neck(head: bpy.types.Object) -> str:
             return ""
         remove_neck(former)
     unit, meshes = outer_eye_distance(points), dict.fromkeys([head, *family_of(head), *objects_of(head)])
-    places = {obj: _places(obj, head) for obj in meshes if obj.is_editable and mesh_of(obj).is_editable}
+    places = {obj: places_in(head, obj) for obj in meshes if obj.is_editable and mesh_of(obj).is_editable}
     if max(float(of[:, 1].max()) for of in places.values()) < points[JAW, 1].max() + _BODY * unit:
         return ""
     shares = {obj: share for obj, of in places.items() if (share := _shares(of, points)).any()}
-    armature = _armature(head, neck_of(points), unit)
-    _deform(shares, armature)
-    write_bones(head, armature, replace(read_bones(head)[1], head=_BONE))
+    taken = {group.name for obj in shares for group in obj.vertex_groups}
+    bones = [
+        next(free for free in (name, *(f"{name}.{n:03d}" for n in range(1, 999))) if free not in taken)
+        for name in _NAMES
+    ]
+    armature = _armature(head, bones, neck_of(points), unit)
+    _deform(shares, bones, armature)
+    write_bones(head, armature, replace(read_bones(head)[1], head=bones[0]))
     return Message("{name} turns the head, so that the body stays still", name=armature.name)
 
 
 def remove_neck(armature: bpy.types.Object) -> None:
     """Remove an armature that `give_neck` added."""
+    bones = [bone.name for bone in rest_bones(armature)]
     for obj in [obj for obj in bpy.data.objects if obj.type == "MESH" and obj.find_armature() == armature]:
         for modifier in [modifier for modifier in obj.modifiers if getattr(modifier, "object", None) == armature]:
             obj.modifiers.remove(modifier)
-        for group in [group for group in obj.vertex_groups if group.name in (_BONE, _BODY_BONE)]:
+        for group in [group for group in obj.vertex_groups if group.name in bones]:
             obj.vertex_groups.remove(group)
         if obj.parent == armature:
             world = obj.matrix_world.copy()
@@ -82,15 +88,10 @@ def remove_neck(armature: bpy.types.Object) -> None:
 
 def _off(armature: bpy.types.Object, head: bpy.types.Object, points: FloatArray) -> float:
     """Return how far the bone of `armature` is from the neck, in outer-eye distances."""
-    bone = rest_matrix(armature) @ rest_bones(armature)[_BONE].head_local
+    turning = next(bone for bone in rest_bones(armature) if bone.parent is not None)
+    bone = rest_matrix(armature) @ turning.head_local
     local = from_blender(np.array(rest_matrix(head).inverted_safe() @ bone))
     return float(np.linalg.norm(local - neck_of(points))) / outer_eye_distance(points)
-
-
-def _places(obj: bpy.types.Object, head: bpy.types.Object) -> FloatArray:
-    """Return the vertices (V, 3) of `obj` in the frame of `head`."""
-    move = np.array(rest_matrix(head).inverted_safe() @ rest_matrix(obj))
-    return from_blender(to_blender(read_vertices(mesh_of(obj))) @ move[:3, :3].T + move[:3, 3])
 
 
 def _shares(places: FloatArray, points: FloatArray) -> FloatArray:
@@ -107,8 +108,8 @@ def _fade(values: FloatArray, begin: float, end: float) -> FloatArray:
     return np.asarray(share * share * (3.0 - 2.0 * share))
 
 
-def _armature(head: bpy.types.Object, pivot: FloatArray, unit: float) -> bpy.types.Object:
-    """Add an armature with bones that meet at `pivot` (3,), in the head frame, in the place of `head`."""
+def _armature(head: bpy.types.Object, names: Sequence[str], pivot: FloatArray, unit: float) -> bpy.types.Object:
+    """Add an armature with two bones that meet at `pivot` (3,), in the head frame, in the place of `head`."""
     armature = bpy.data.objects.new(f"{head.name} Neck", bpy.data.armatures.new(f"{head.name} Neck"))
     armature[NECK_PROPERTY] = True
     for collection in head.users_collection:
@@ -121,20 +122,22 @@ def _armature(head: bpy.types.Object, pivot: FloatArray, unit: float) -> bpy.typ
     bpy.ops.object.mode_set(mode="EDIT")
     bones = armature_data(armature).edit_bones
     at, up = Vector(to_blender(pivot).tolist()), Vector((0.0, 0.0, unit))
-    for name, first, last in ((_BODY_BONE, at - up, at), (_BONE, at, at + up)):
-        bone = bones.new(name)
-        bone.head, bone.tail = first, last
-    bones[_BONE].parent = bones[_BODY_BONE]
+    turning, still = (bones.new(name) for name in names)
+    turning.head, turning.tail = at, at + up
+    still.head, still.tail = at - up, at
+    turning.parent = still
     bpy.ops.object.mode_set(mode="OBJECT")
     select_alone(bpy.context, head)
     return armature
 
 
-def _deform(shares: Mapping[bpy.types.Object, NDArray[np.floating[Any]]], armature: bpy.types.Object) -> None:
+def _deform(
+    shares: Mapping[bpy.types.Object, NDArray[np.floating[Any]]], bones: Sequence[str], armature: bpy.types.Object
+) -> None:
     """Let the armature deform meshes, each by the shares (V,) of its vertices, and carry those without a parent."""
     for obj, share in shares.items():
-        for name, weights in ((_BONE, share), (_BODY_BONE, 1.0 - share)):
-            group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)
+        for name, weights in zip(bones, (share, 1.0 - share), strict=True):
+            group = obj.vertex_groups.get(name) or obj.vertex_groups.new(name=name)  # meshes may share their data
             for weight in np.unique(weights[weights > 0.0]):
                 group.add(np.flatnonzero(weights == weight).tolist(), float(weight), "REPLACE")
         modifier: Any = obj.modifiers.new("Neck", "ARMATURE")

@@ -22,14 +22,14 @@ from ..characters import (
     mesh_within,
     objects_of,
     parts_of,
+    places_in,
     read_bones,
     read_kinds,
-    rest_matrix,
     write_bones,
     write_kinds,
 )
 from ..eye_bones import aim_of, looks_only, turned_by
-from ..frames import from_blender, to_blender
+from ..frames import to_blender
 from ..meshes import (
     group_weights,
     mesh_of,
@@ -183,9 +183,7 @@ def _pieces_of(
 ) -> _Pieces:
     """Return the pieces of an object in the frame of `head`; those with landmarks are skin."""
     faces = read_faces(mesh_of(obj))
-    local = to_blender(read_vertices(mesh_of(obj)))
-    move = np.array(rest_matrix(head).inverted_safe() @ rest_matrix(obj))
-    places = from_blender(local @ move[:3, :3].T + move[:3, 3]).astype(np.float64)
+    places = places_in(head, obj)
     number, on_skin = _numbered(obj, places, landmarks)
     materials = _material_of_pieces(obj, faces, number)
     order = np.argsort(number, kind="stable")

@@ -95,8 +95,9 @@ class Glue:
             corners, shares, away = nearest_triangles(at, skin, triangulate(faces))
             free &= away < _BENEATH * unit
             self._rows = np.concatenate([self._rows, corners], axis=1)
+            beneath = np.pad(shares, ((0, 0), (weights.shape[1], 0)))
             weights = np.pad(weights, ((0, 0), (0, 3)))
-            held = np.where(free[:, None], np.pad(shares, ((0, 0), (_NEIGHBOURS, 0))), weights)
+            held = np.where(free[:, None], beneath, weights)
         near = skin[self._rows]
         # Equation 5.10 at rest: weighted mean of the neighbourhood, arms r_i from it, and sum w r r^T.
         middle = np.einsum("nk,nkc->nc", weights, near)

@@ -105,6 +105,18 @@ def test_going_back_to_the_former_binding_removes_the_neck(figure):
     assert armature_of(head) is None and own_targets(head)["head"].owner == head
 
 
+def test_vertex_groups_of_the_same_names_are_left_alone(figure):
+    head, _ = figure
+    own = head.vertex_groups.new(name="Head")
+    own.add([0, 1, 2], 0.25, "REPLACE")
+    give_neck(head)
+    places = turned(head)
+    assert read_bones(head)[1].head == "Head.001" and not np.allclose(places, shown(head))
+    remove_neck(armature_of(head))
+    assert "Head.001" not in head.vertex_groups
+    assert [head.vertex_groups["Head"].weight(vertex) for vertex in (0, 1, 2)] == [0.25] * 3
+
+
 def test_a_neck_of_a_face_elsewhere_is_replaced_and_one_that_fits_is_kept(figure):
     head, _ = figure
     give_neck(head)
