@@ -36,7 +36,7 @@ _MOST_STRETCHED = 4.0
 _SQUARE = 0.02
 """Difference of this ratio from 1 up to which pixels are square: rounded sizes of a file are off by less."""
 _LOOKED_AT = 60
-"""Frames from whose times a rate is found if the stated one is none at which is recorded."""
+"""Number of frames whose times give the rate if the file states one at which no camera records."""
 
 
 @dataclass(frozen=True)

@@ -39,7 +39,7 @@ def as_points(
 
 
 _SAMPLED = 8
-"""Step between the pixels from which the range of a floating-point image is told."""
+"""Step between the pixels that tell the range of a floating-point image."""
 _BRIGHTEST = 1.5
 """Median of such an image above which its range is not 0 to 1, as one of 0 to 255 has 2 even in the dark."""
 
