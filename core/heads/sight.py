@@ -160,7 +160,7 @@ def _close_up(sitter: Sitter, centre: FloatArray, size: float, turn: FloatArray,
         search.follow(portrait.image, FittedShape(start, found.shape_params)),
         search.follow(flipped, FittedShape(start * _MIRRORED_POSE + _SHIFT, np.zeros(pdm.n_modes))),
     ]
-    fits = [candidate.fit.fitted for candidate in seen]
+    fits = [search.fitter.refine(image, c.fit).fitted for image, c in zip((portrait.image, flipped), seen, strict=True)]
     # Mean of the fit and of the mirrored fit of the mirror image: whatever the tracker does to one side more than to
     # the other cancels out.
     points, other = (pdm.project(fit.pose, fit.shape_params) for fit in fits)

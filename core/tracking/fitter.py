@@ -124,21 +124,33 @@ class FaceFitter:
         self._edge_weights = {view: weights * visible[_EDGED] for view, visible in self._visibility.items()}
 
     def fit(self, grey: Grey, start: FittedShape, stages: tuple[FitStage, ...]) -> Fit:
-        """Fit a face from `start`, in the image frame, by stages such as `REFINED` or `DETECTED`.
-
-        If the last stage uses parts, edges are refined at the end.
-        """
+        """Fit a face from `start`, in the image frame, by stages such as `REFINED` or `DETECTED`."""
         out = Fit(start, np.zeros(N_FEATURES), np.zeros(N_LANDMARKS))
         for stage in stages:
             out = self._fit_stage(grey, out.fitted, stage)
-        return self._refine_edges(grey, out) if stages[-1].parts else out
+        return out
 
     def follow(self, grey: Grey, last: FittedShape) -> Fit:
         """Fit a face from its fit in the previous frame, in one stage, or two if a part has moved far."""
         fit = self._fit_stage(grey, last, FINE)
         if self._moved_far(last, fit.fitted):
             fit = self._fit_stage(grey, fit.fitted, FINE)
-        return self._refine_edges(grey, fit)
+        return fit
+
+    def refine(self, grey: Grey, fit: Fit) -> Fit:
+        """Refine the edges of a fit by the patch experts (section 3.5)."""
+        began = perf_counter()
+        start = fit.fitted
+        local, view = _in_face_frame(start), _view(start.pose)
+        shape = self._fitted_pdm.project(local.pose, local.shape_params)
+        maps, highest = self._patches[view].respond(grey, start.pose, shape)
+        looked = perf_counter()
+        evidence = [Evidence(maps, self._edge_weights[view] * highest)]
+        local = regularised_mean_shift(self._fitted_pdm, local, evidence, _EDGES)
+        fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
+        self._timings["experts"] += looked - began
+        self._timings["fit"] += perf_counter() - looked
+        return Fit(fitted, fit.features, fit.certainty)
 
     def _fit_stage(self, grey: Grey, start: FittedShape, stage: FitStage) -> Fit:
         began = perf_counter()
@@ -234,21 +246,6 @@ class FaceFitter:
         above = part.respond(grey, pose, shape, higher=_HIGHER)
         better = missed & (_mean_certainty(above, brows) > seen + _BETTER)
         return maps.replaced(above, (brows & better[:, None]).ravel())
-
-    def _refine_edges(self, grey: Grey, fit: Fit) -> Fit:
-        """Refine a fit by the patch experts (section 3.5)."""
-        began = perf_counter()
-        start = fit.fitted
-        local, view = _in_face_frame(start), _view(start.pose)
-        shape = self._fitted_pdm.project(local.pose, local.shape_params)
-        maps, highest = self._patches[view].respond(grey, start.pose, shape)
-        looked = perf_counter()
-        evidence = [Evidence(maps, self._edge_weights[view] * highest)]
-        local = regularised_mean_shift(self._fitted_pdm, local, evidence, _EDGES)
-        fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
-        self._timings["experts"] += looked - began
-        self._timings["fit"] += perf_counter() - looked
-        return Fit(fitted, fit.features, fit.certainty)
 
     def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
         """Whether a part has left the middle of the crop that its experts saw."""

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from ..face.landmarks import EYE_LEFT, EYE_RIGHT, eye_apertures
 from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray
-from .experts import FacePart, standardise_part
+from .experts import FacePart
 from .grey import Grey
-from .reference import warp_to_reference
+from .reference import ReferenceFrame, warp_to_reference
 
 EYES = np.concatenate([EYE_RIGHT, EYE_LEFT])
 """Landmarks at whose middle the experts of the pupils see both eyes."""
@@ -56,17 +56,18 @@ class PupilExperts(FacePart):
     It tells the places of both pupils from the middle of the band, in its heights.
     """
 
-    def find(self, grey: Grey, pose: FloatArray, outlines: FloatArray) -> FloatArray:
-        """Find the pupils (2, 2) of the right and the left eye with `outlines` (2, 6, 2), all in pixels."""
+    def band(self, grey: Grey, pose: FloatArray, landmarks: FloatArray) -> ReferenceFrame:
+        """Crop the band with both eyes of a face with `landmarks` (66, 2) in pixels."""
         place = pose.copy()
-        place[4:6] = outlines.sum(axis=(0, 1)) / (outlines.size // 2)
-        frame = warp_to_reference(grey, place, self.scale, self.size)
-        (told,) = self.network(standardise_part(frame.pixels)[None])
+        place[4:6] = landmarks[EYES].sum(axis=0) / len(EYES)
+        return warp_to_reference(grey, place, self.scale, self.size)
+
+    def refine(self, band: ReferenceFrame, told: NDArray[np.float32]) -> FloatArray:
+        """Refine by gradients what the network has `told` (1, 4) of a band: pupils (2, 2) in pixels of the image."""
         width, height = self.size
         roughly = (told.reshape(2, 2) * height + (0.5 * (width - 1), 0.5 * (height - 1))).tolist()
-        votes = _votes(frame.pixels, *self._kernels)
-        exactly = np.array([_peak(votes, x, y, self.scale) for x, y in roughly])
-        return np.asarray((exactly - frame.offset) @ frame.linear * (pose[0] / self.scale) ** 2)
+        votes = _votes(band.pixels, *self._kernels)
+        return band.in_image(np.array([_peak(votes, x, y, self.scale) for x, y in roughly]))
 
     @cached_property
     def _kernels(self) -> tuple[NDArray[np.float32], NDArray[np.float32], int]:
@@ -94,12 +95,12 @@ class Gaze:
     vergence: float
 
 
-def find_gaze(experts: PupilExperts, grey: Grey, pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> Gaze:
-    """Find the pupils and the gaze of a tracked face; both are NaN for eyes that are shut or hidden by the nose.
+def find_gaze(found: FloatArray, pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> Gaze:
+    """Find the gaze of a face whose pupils were `found` (2, 2); NaN, like these, for eyes that are shut or hidden.
 
-    `pose` (6,) is as in `TrackResult`, `landmarks` (66, 2) are in pixels, and `shape` (66, 3) holds them without the
-    pose: head frame, outer-eye distances. The direction is the mean over the open eyes, weighted by their visible
-    areas.
+    `pose` (6,) is as in `TrackResult`, pupils and `landmarks` (66, 2) are in pixels, and `shape` (66, 3) holds the
+    landmarks without the pose: head frame, outer-eye distances. The direction is the mean over the open eyes, weighted
+    by their visible areas.
     """
     pupils = np.full((2, 2), np.nan)
     outlines = landmarks[_EYES]
@@ -113,7 +114,7 @@ def find_gaze(experts: PupilExperts, grey: Grey, pose: FloatArray, landmarks: Fl
     looking = np.flatnonzero(shares)
     if len(looking) == 0:
         return Gaze(pupils, np.full(2, np.nan), nan)
-    pupils[looking] = experts.find(grey, pose, outlines)[looking]
+    pupils[looking] = found[looking]
     # The eyeball lies at a fixed place behind the middle between the corners of the eye.
     middles = 0.5 * (shape[_EYES[looking, 0]] + shape[_EYES[looking, 3]])
     sights = _lines_of_sight(pupils[looking], pose, middles)

@@ -64,6 +64,10 @@ class LinearFitter(FaceFitter):
         """Fit a face from its fit in the previous frame."""
         return self._judged(grey, self.fit_linear(grey, last, RADII), True)
 
+    def refine(self, grey: Grey, fit: Fit) -> Fit:
+        """Return a fit as it is, since the linear experts end at the edges."""
+        return fit
+
     def fit_linear(self, grey: Grey, start: FittedShape, radii: tuple[int, ...]) -> FittedShape:
         """Fit the shape model from `start`, in the image frame, in windows of each of `radii` in turn."""
         pdm, scale, fitted = self._linear.pdm, self._linear.scale, start

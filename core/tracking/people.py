@@ -130,12 +130,13 @@ class PeopleTracker:
         results = {}
         for person in self._people:
             candidate = followed.get(person.number)
-            person.last = None if candidate is None else candidate.fit.fitted
             if candidate is None:
+                person.last = None
                 person.mouth.reset()
                 continue
             person.pose, person.frame = candidate.pose, self._frame
-            results[person.number] = self._tracker.read(grey, candidate, person.mouth)
+            results[person.number] = result = self._tracker.read(grey, candidate, person.mouth)
+            person.last = FittedShape(result.pose, result.shape_params)
         return results
 
     def _is_cut(self, grey: Grey) -> bool:

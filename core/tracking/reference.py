@@ -43,6 +43,11 @@ class ReferenceFrame:
         """The translation of the similarity, (2,)."""
         return np.array(self.shift)
 
+    def in_image(self, points: FloatArray) -> FloatArray:
+        """Convert points (n, 2) of the crop to the image."""
+        c, s = self.turn
+        return np.asarray((points - self.offset) @ self.linear / (c * c + s * s))
+
 
 def pose_in_image(relative: FloatArray, start: FloatArray) -> FloatArray:
     """Convert a pose (6,) from the face frame of `start` (6,), a pose in the image frame, to the image frame.

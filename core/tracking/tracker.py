@@ -7,7 +7,6 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,17 +15,16 @@ from ..files.assets import ASSETS
 from ..files.setting import Choice, setting
 from ..numeric.arrays import FloatArray, as_image
 from .fitter import FaceFitter
-from .gaze import find_gaze
 from .grey import Grey, GreyImage
 from .identity import FaceChoice, PerformerIdentity, describe_face
 from .linear_fitter import load_any_model
 from .model_file import TrackerModel
-from .patch_experts import ActionExperts, measure_actions
+from .patch_experts import ActionExperts
 from .pdm import FittedShape, PointDistributionModel
-from .result import HiddenMouth, TrackResult, project_shape
+from .reading import FaceReader
+from .result import HiddenMouth, TrackResult
 from .rivals import Rivals
 from .search import CERTAIN, Candidate, FaceSearch, largest
-from .teeth import bare_teeth
 
 DEFAULT_MODEL = ASSETS / "tracker" / "face.tracker"
 
@@ -107,6 +105,7 @@ class FaceTracker:
         self._model = model
         self.search = FaceSearch(model)
         self.search.gradual = gradual
+        self._reader = FaceReader(model, self.search.fitter, self.search.timings)
         self.settings = settings
         self._identity = PerformerIdentity()
         self._choice = FaceChoice()
@@ -174,7 +173,7 @@ class FaceTracker:
     def in_two_threads(self) -> Iterator[None]:
         """Run half of the networks of `track` in a second thread, which ends with the context.
 
-        If a core is free, a frame takes a tenth less time; several trackers that share the cores gain nothing.
+        If a core is free, a frame takes a fifth less time; several trackers that share the cores gain nothing.
         """
         with ThreadPoolExecutor(1, "facemime-networks") as thread:
             self.fitter.second_thread = thread
@@ -328,7 +327,6 @@ class FaceTracker:
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
     def _accept(self, grey: Grey, candidate: Candidate) -> TrackResult:
-        self._last = candidate.fit.fitted
         self._choice.settle()
         # A gradual tracker measures all actions in the first frame, and then those of one part per frame.
         parts, before = self._model.actions, self._actions
@@ -336,6 +334,7 @@ class FaceTracker:
             turn = self._identity.frame % len(parts)
             parts = parts[turn : turn + 1]
         result = self.read(grey, candidate, self._mouth, parts, before)
+        self._last = FittedShape(result.pose, result.shape_params)
         self._actions = result.actions
         return result
 
@@ -348,40 +347,7 @@ class FaceTracker:
         before: FloatArray | None = None,
     ) -> TrackResult:
         """Return the result for a face, with the actions of `parts`; those of other parts are taken from `before`."""
-        pose, shape_params = candidate.fit.fitted.pose, candidate.fit.fitted.shape_params
-        landmarks, shape = self.pdm.project(pose, shape_params), self.pdm.shape(shape_params)
-        began = perf_counter()
-        if self._colour is not None and (bared := bare_teeth(self._colour, pose, landmarks, shape)) is not shape:
-            shape, landmarks = bared, project_shape(bared, pose)
-        self.timings["teeth"] += perf_counter() - began
-        if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
-            shape, landmarks = held, project_shape(held, pose)
-        # While the second thread, if there is one, runs the networks of the actions, this one finds the pupils; it also
-        # crops for both, as Python runs one thread at a time.
-        began = perf_counter()
-        experts = self._model.actions if parts is None else parts
-        crops = [part.crops_at(grey, pose, landmarks) for part in experts]
-        thread = self.fitter.second_thread
-        begun = None if thread is None else thread.submit(measure_actions, experts, crops, before)
-        cropped = perf_counter()
-        gaze = find_gaze(self._model.pupils, grey, pose, landmarks, shape)
-        looked = perf_counter()
-        actions = measure_actions(experts, crops, before) if begun is None else begun.result()
-        self.timings["gaze"] += looked - cropped
-        self.timings["actions"] += cropped - began + perf_counter() - looked
-        return TrackResult(
-            found=True,
-            landmarks=landmarks,
-            pose=pose,
-            shape_params=shape_params,
-            shape=shape,
-            confidence=candidate.confidence,
-            landmark_confidence=candidate.fit.certainty,
-            pupils=gaze.pupils,
-            gaze=gaze.direction,
-            vergence=gaze.vergence,
-            actions=actions,
-        )
+        return self._reader.read(grey, self._colour, candidate, mouth, parts, before)
 
 
 def _certain(found: Sequence[Candidate]) -> list[FloatArray]:
