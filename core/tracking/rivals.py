@@ -25,6 +25,8 @@ five clips of strangers change by 0.016 at most, on the half it was chosen on by
 0.1 or more."""
 _ALIVE = 0.1
 """Change above which a face performs."""
+_AS_LARGE = 0.8
+"""Size, relative to the largest one, of faces that are about as large."""
 WATCHED = 25
 """Frames after which it is judged who performs."""
 
@@ -32,7 +34,8 @@ WATCHED = 25
 class Rivals:
     """Faces that may be the performer's, watched where they were first seen in a grey image.
 
-    `tracked` is the pose (6,) of the face that was chosen, `others` are those of further faces, in the image frame.
+    `tracked` is the pose (6,) of the face that was chosen, `others` are those of further faces, the surest first, in
+    the image frame.
     """
 
     def __init__(self, grey: Grey, tracked: FloatArray, others: Sequence[FloatArray]) -> None:
@@ -73,9 +76,13 @@ class Rivals:
         return self._frames % WATCHED == 0
 
     def performing(self) -> FloatArray | None:
-        """Return the pose (6,) of the largest other face that has moved, where it was first seen; None if none has."""
+        """Return the pose (6,) of the largest other face that has moved, where it was first seen; None if none has.
+
+        Of faces about as large, such as a performer and the animation of a portrait, it is the surest one's.
+        """
         moving = [pose for pose, change in zip(self.poses[1:], self._changes[1:], strict=True) if change > _ALIVE]
-        return max(moving, key=lambda pose: float(pose[0]), default=None)
+        least = _AS_LARGE * max((float(pose[0]) for pose in moving), default=0.0)
+        return next((pose for pose in moving if pose[0] >= least), None)
 
 
 def _look(grey: Grey, pose: FloatArray) -> NDArray[np.float32]:

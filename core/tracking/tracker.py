@@ -351,5 +351,5 @@ class FaceTracker:
 
 
 def _certain(found: Sequence[Candidate]) -> list[FloatArray]:
-    """Poses (6,) of those that are certainly faces."""
-    return [candidate.pose for candidate in found if candidate.confidence >= CERTAIN]
+    """Poses (6,) of those that are certainly faces, the surest first."""
+    return [c.pose for c in sorted(found, key=lambda c: -c.confidence) if c.confidence >= CERTAIN]

@@ -17,6 +17,7 @@ from facemime.core.puppet.worker import LiveOptions, LiveWorker
 from facemime.core.takes.file import load_take
 from facemime.core.takes.from_video import track_video
 from facemime.core.tracking.identity import LEFTMOST, RIGHTMOST
+from facemime.core.tracking.rivals import Rivals
 from facemime.core.tracking.tracker import FaceTracker
 
 SAMPLE = Path(__file__).parents[3] / "assets" / "sample" / "sample.mp4"
@@ -209,6 +210,22 @@ def test_somebody_who_comes_into_view_beside_a_picture_is_followed(tracker: Face
     places = [tracker.track(frame).pose[4] > 620 for frame in frames]
     assert not any(places[:30])
     assert all(places[-10:])
+
+
+@pytest.mark.parametrize(("second", "chosen"), [(50.0, 450.0), (60.0, 450.0), (70.0, 450.0), (90.0, 750.0)])
+def test_of_performers_about_as_large_the_surest_one_is_followed(second: float, chosen: float) -> None:
+    rng = np.random.default_rng(0)
+    still = rng.integers(0, 255, (300, 300))
+    poses = [
+        np.array([scale, 0.0, 0.0, 0.0, x, 150.0]) for scale, x in ((100.0, 150.0), (60.0, 450.0), (second, 750.0))
+    ]
+    frames = [np.hstack([still, rng.integers(0, 255, (300, 600))]).astype(np.uint8) for _ in range(3)]
+    rivals = Rivals(frames[0], poses[0], poses[1:])
+    for frame in frames[1:]:
+        rivals.watch(frame)
+    performing = rivals.performing()
+    assert performing is not None
+    assert performing[4] == chosen
 
 
 def sample_frames(count: int) -> Iterator[np.ndarray]:
