@@ -59,11 +59,11 @@ class Observer:
 
     def displacements(self, result: TrackResult) -> FloatArray:
         """Return the displacements of the built-in head's landmarks, (66, 3), in its unit, as the model knows them."""
-        return self._retargeter.displacements(result.shape)
+        return self._retargeter.displacements(result.shape, result.teeth)
 
     def driven(self, result: TrackResult) -> FloatArray:
         """Return those of the driven head, (198,), in outer-eye distances."""
-        return np.asarray((self._avatar.displacements(result.shape) / self._unit).ravel())
+        return np.asarray((self._avatar.displacements(result.shape, result.teeth) / self._unit).ravel())
 
     def face(self, result: TrackResult) -> FloatArray:
         """Return the observation of a frame, (213,).

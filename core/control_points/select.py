@@ -76,7 +76,7 @@ def select_control_points(
     landmarks = np.asarray(rig.vertices, dtype=np.float64)[rig.landmarks]
     retargeter = retargeter_for(neutral, landmarks)
     found = np.flatnonzero(take.found)
-    motion = np.stack([retargeter.displacements(take.shape[frame]) for frame in found])
+    motion = retargeter.displacements(take.shape[found], take.teeth[found])
     selection = greedy_select(
         landmarks,
         motion,

@@ -15,6 +15,7 @@ from ..errors import SourceError
 from ..face.landmarks import outer_eye_distance
 from ..face.rotation import euler_to_matrix, limit_rotation, limit_vector
 from ..files.large_arrays import large_array
+from ..heads.bite import bite_of
 from ..heads.eyeballs import EyeballContact
 from ..heads.regions import sharp_regions
 from ..heads.rig import HeadRig
@@ -162,7 +163,7 @@ class HeadDriver:
         self.taught = TaughtVertices(rig.style, len(every), self._kept, others)
         self._controls = TaughtControls(rig.style)
         self._expressions = Expressions(self.neutral)
-        self._jaw = Jaw(landmarks, rig.jaw_pivot)
+        self._jaw = Jaw(landmarks, rig.jaw_pivot, bite_of(rig))
         self._unit = outer_eye_distance(landmarks)
 
     @property
@@ -173,7 +174,7 @@ class HeadDriver:
     def frame(self, result: TrackResult) -> HeadFrame:
         """Compute the head for a tracking result with a face."""
         result = self._mirrored(result)
-        displacements = self.retargeter.displacements(result.shape)
+        displacements = self.retargeter.displacements(result.shape, result.teeth)
         actions = self._shown_actions(result.actions, result.shape)
         pose = self._pose(result, displacements)
         return HeadFrame(
@@ -191,7 +192,7 @@ class HeadDriver:
         """
         results = [self._mirrored(result) for result in results]
         shapes = np.array([result.shape for result in results])
-        displacements = self.retargeter.displacements(shapes)
+        displacements = self.retargeter.displacements(shapes, [result.teeth for result in results])
         actions = self._shown_actions(np.array([result.actions for result in results]), shapes)
         poses = [self._pose(result, moved) for result, moved in zip(results, displacements, strict=True)]
         rest = self.rest
@@ -228,7 +229,7 @@ class HeadDriver:
         return _Pose(
             rotation=rotation,
             translation=self._unit * moved,
-            jaw=self._jaw.rotation(displacements),
+            jaw=self._jaw.rotation(displacements, result.teeth),
             gaze=np.stack([limit_rotation(eye, posing.eyes_strength, posing.eyes_limit) for eye in gaze]),
             taught=self.taught.weights(expression),
             controls=self._controls.changes(expression),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from math import nan, pi
+from math import isnan, nan, pi
 
 import numpy as np
 
@@ -109,15 +109,27 @@ def _rotation(gaze: FloatArray) -> FloatArray:
 
 
 class Jaw:
-    """Fits the rotation of a jaw about `hinge`, given the landmarks (66, 3) at rest: head frame, unit of the mesh."""
+    """Fits the rotation of a jaw about `hinge`, given the landmarks (66, 3) at rest: head frame, unit of the mesh.
 
-    def __init__(self, landmarks: FloatArray, hinge: FloatArray) -> None:
+    `bite` is the angle in radians by which lower teeth rise from rest until they meet the upper ones.
+    """
+
+    def __init__(self, landmarks: FloatArray, hinge: FloatArray, bite: float = 0.0) -> None:
+        self._bite = bite
         self._chin, self._lip = landmarks[CHIN] - hinge, landmarks[LOWER_LIPS].mean(axis=0) - hinge
         self._unit = outer_eye_distance(landmarks)
 
-    def rotation(self, displacements: FloatArray) -> FloatArray:
+    def rotation(self, displacements: FloatArray, teeth: float = nan) -> FloatArray:
         """Return the rotation about the hinge that fits the displacements of the chin, for those of all landmarks (66,
-        3).
+        3), or that shuts the `teeth`, as in `TrackResult`.
+        """
+        opened, shut = self._opened(displacements), 0.0 if isnan(teeth) else teeth
+        if shut <= 0.0:
+            return opened
+        return euler_to_matrix(-shut * self._bite, 0.0, 0.0) @ limit_rotation(opened, 1.0 - shut, pi)
+
+    def _opened(self, displacements: FloatArray) -> FloatArray:
+        """Return the rotation that fits the displacements of the chin.
 
         It is enlarged if the lower lip is further down than that would take it (equation 4.5). Displacements are in the
         head frame and the unit of the mesh.

@@ -5,6 +5,7 @@ average face (section 8.4).
 from __future__ import annotations
 
 from dataclasses import replace
+from math import nan
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike
 from ..errors import HeadError, SourceError
 from ..face.landmarks import (
     BROWS,
+    CHIN,
     EYE_CORNERS,
     LIPS,
     LOWER_LIDS,
@@ -152,8 +154,11 @@ class Retargeter:
         heights = self.scale[:, 1]
         self._with_upper = [(upper, lower, heights[upper] - heights[lower]) for upper, lower in _FACING_LIPS]
 
-    def displacements(self, shape: ArrayLike) -> FloatArray:
-        """Return displacements (..., 66, 3) from rest, head frame and unit of the avatar, for a performer's shapes."""
+    def displacements(self, shape: ArrayLike, teeth: ArrayLike = nan) -> FloatArray:
+        """Return displacements (..., 66, 3) from rest, head frame and unit of the avatar, for a performer's shapes.
+
+        How surely their `teeth` (...) are shut is as in `TrackResult`; where they are, the chin does not sink.
+        """
         given = np.asarray(shape, dtype=np.float64)
         current = as_points(given.reshape(-1, 3), "shape", count=max(given.size // 3, N_LANDMARKS)).reshape(given.shape)
         away = current - self.neutral
@@ -164,6 +169,9 @@ class Retargeter:
             _seal(moved, away)
         if self._shapes:
             _shape_mouth(moved, away)
+        # Section 4.3: a jaw whose teeth are shut is not open, although the tracked chin follows the lower lip.
+        parted = 1.0 - np.nan_to_num(np.asarray(teeth, dtype=np.float64))[..., None]
+        moved[..., CHIN, 1] = np.where(moved[..., CHIN, 1] > 0.0, parted, 1.0) * moved[..., CHIN, 1]
         # Each brow moves farther as a whole, and tilts less.
         brows = moved[..., BROWS, 1].reshape(*moved.shape[:-2], 2, -1).mean(axis=-1)
         moved[..., BROWS, 1] += (brows[..., None] * self._brows_more).reshape(*brows.shape[:-1], -1)
@@ -305,7 +313,7 @@ def anonymise(take: Take) -> Take:
     info = {key: take.info[key] for key in _KEPT_INFO if key in take.info}
     result = replace(mark_lost(take, np.ones(len(take), bool)), found=take.found.copy(), info=info)
     result.confidence[:] = take.confidence
-    for name in ("pose", "gaze", "vergence", "actions", "coefficients"):
+    for name in ("pose", "gaze", "vergence", "actions", "teeth", "coefficients"):
         getattr(result, name)[:] = getattr(take, name)
     if not take.found.any():
         return result

@@ -15,6 +15,7 @@ from functools import lru_cache
 import numpy as np
 
 from ..face.landmarks import (
+    CHIN,
     LOWER_LIDS,
     LOWER_LIPS,
     N_LANDMARKS,
@@ -49,6 +50,8 @@ _TIME = 0.12
 """Seconds over which a correction lasts."""
 _FAINT = 1e-6
 """Share of a correction below which a frame stays exactly as it was tracked."""
+_CHIN_MOVED = 0.01
+"""Motion of the chin, in eye distances, beyond which a correction opens or shuts the jaw."""
 _LOOK = 1.5
 """Difference of landmarks over which a correction fades, relative to how much their part moves in the take."""
 _ALIKE = (0.6, 3.0)
@@ -217,7 +220,10 @@ class _Solution:
         shape[frames] = shapes[moved]
         # What was seen beside the shape model, such as lips held behind a hand, keeps its distance.
         landmarks[frames] += project(shapes[moved] - self._shapes[moved], poses) - poses[:, None, 4:6]
-        return replace(self._take, shape=shape, landmarks=landmarks)
+        # Who moves the chin sees better whether the jaw is open than the tracker, which looks for teeth.
+        teeth = self._take.teeth.copy()
+        teeth[self._found[np.abs(shapes - self._shapes)[:, CHIN, 1].max(axis=1) > _CHIN_MOVED]] = np.nan
+        return replace(self._take, shape=shape, landmarks=landmarks, teeth=teeth)
 
     def _pins(self) -> Iterator[_Pins]:
         pins = pins_of(self._take)

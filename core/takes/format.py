@@ -25,7 +25,7 @@ from ..files.reading import parse_json
 from ..numeric.arrays import FloatArray
 from .take import Take
 
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 MARKER = b"\x8bFTAKE\r\n"
 START, FRAMES, END = b"S", b"F", b"E"
 """Kinds of chunks: the description of the take, its frames, and the description again at the end."""
@@ -52,12 +52,13 @@ LAYOUT: tuple[Column, ...] = (
     ("gaze", (2,), 2.0**-13),
     ("vergence", (), 2.0**-13),
     ("actions", (N_ACTIONS,), 2.0**-8),
+    ("teeth", (), 2.0**-8),
     ("coefficients", (N_COEFFICIENTS,), 2.0**-16),
     ("shape_params", (-1,), 2.0**-13),
 )
 """Name, shape and step of the columns of a frame, without its time. Values change by half a step at most. The shape
 parameters come last, as their number depends on the model."""
-_SINCE = {"vergence": 2, "actions": 2, "coefficients": 3}
+_SINCE = {"vergence": 2, "actions": 2, "coefficients": 3, "teeth": 4}
 """Version of the format that introduced a column; other columns are in all versions."""
 
 

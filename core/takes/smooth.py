@@ -40,7 +40,10 @@ _MIN_STEP = 1e-3
 """Smallest time between frames in seconds. Where a part was punched in, two frames may nearly coincide."""
 _MIN_FRAMES = 5
 """Smallest number of frames that is smoothed."""
-_OTHERS = (("gaze", GAZE, 1), ("vergence", ACTION, 0), ("actions", ACTION, 0), ("coefficients", ACTION, 0))
+_OTHERS = (
+    *(("gaze", GAZE, 1), ("vergence", ACTION, 0)),
+    *(("actions", ACTION, 0), ("teeth", ACTION, 0), ("coefficients", ACTION, 0)),
+)
 """Arrays beside shape and pose that are smoothed as live, and how."""
 
 
@@ -101,8 +104,8 @@ def _unbroken(known: NDArray[np.bool_]) -> Iterator[NDArray[np.intp]]:
 def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) -> Take:
     """Smooth a take without delay, with one cutoff in Hz per part of the face; `cutoffs` override `CUTOFFS`.
 
-    Pose, shape, gaze and actions are smoothed, and landmarks follow. Nothing is smoothed across lost frames, and a part
-    whose cutoff is `inf` is unchanged. Raises FacemimeError if a part does not exist, or a cutoff is too low.
+    Pose, shape, gaze, actions and teeth are smoothed, and landmarks follow. Nothing is smoothed across lost frames, and
+    a part whose cutoff is `inf` is unchanged. Raises FacemimeError if a part does not exist, or a cutoff is too low.
     """
     chosen = {**CUTOFFS, **(cutoffs or {})}
     for part, cutoff in chosen.items():
@@ -126,9 +129,10 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
         pose[run, 0], pose[run, 4:6] = np.exp(place[:, 0]), place[:, 1:]
     for run in _runs(take.times, np.isfinite(take.gaze).all(axis=1)):
         gaze[run] = low_pass(take.times[run], gaze[run], chosen["gaze"])
-    vergence, actions = take.vergence[:, None].astype(np.float64), take.actions.astype(np.float64)
-    coefficients = take.coefficients.astype(np.float64)
-    for values, part in ((vergence, "gaze"), (actions, "actions"), (coefficients, "actions")):
+    vergence, teeth = (values[:, None].astype(np.float64) for values in (take.vergence, take.teeth))
+    actions, coefficients = take.actions.astype(np.float64), take.coefficients.astype(np.float64)
+    parts = ((vergence, "gaze"), (actions, "actions"), (teeth, "actions"), (coefficients, "actions"))
+    for values, part in parts:
         for run in _runs(take.times, np.isfinite(values).all(axis=1)):
             values[run] = low_pass(take.times[run], values[run], chosen[part])
     landmarks = take.landmarks.copy()
@@ -138,6 +142,7 @@ def smooth_zero_phase(take: Take, cutoffs: Mapping[str, float] | None = None) ->
         "gaze": gaze.astype(np.float32),
         "vergence": vergence[:, 0].astype(np.float32),
         "actions": actions.astype(np.float32),
+        "teeth": teeth[:, 0].astype(np.float32),
         "coefficients": coefficients.astype(np.float32),
         "landmarks": landmarks,
     }

@@ -38,6 +38,7 @@ def _columns(modes: int) -> dict[str, list[str]]:
         "gaze": ["gaze_pitch", "gaze_yaw"],
         "vergence": ["vergence"],
         "actions": [f"action_{name}" for name in ACTIONS],
+        "teeth": ["teeth"],
         "coefficients": [f"coefficient_{name}" for name in COEFFICIENTS],
         "pupils": [f"pupil_{side}_{axis}" for side in ("right", "left") for axis in "xy"],
         "shape": [f"shape_{n}_{axis}" for n in numbers for axis in "xyz"],
@@ -111,7 +112,7 @@ def _read(table: TextTable, cells: list[list[str]]) -> Take:
     landmarks = arrays["landmarks"].reshape(len(cells), -1, 2)
     if not any(name in place for name in columns["landmarks"]):
         landmarks[found] = project(shape[found], arrays["pose"][found])
-    arrays |= {name: arrays[name][:, 0] for name in ("times", "vergence")}
+    arrays |= {name: arrays[name][:, 0] for name in ("times", "vergence", "teeth")}
     arrays |= {"landmarks": landmarks, "shape": shape, "pupils": arrays["pupils"].reshape(-1, 2, 2)}
     arrays["confidence"] = np.nan_to_num(arrays["confidence"][:, 0], nan=1.0) * found
     rows: dict[str, Any] = {

@@ -52,6 +52,8 @@ class Take:
         As in `TrackResult`, in radians; NaN where unknown.
     actions : (N, 15) float32
         As in `TrackResult`; NaN where unknown, as in takes of earlier versions.
+    teeth : (N,) float32
+        As in `TrackResult`, 0 to 1; NaN where unknown, as in takes of earlier versions.
     coefficients : (N, 52) float32
         As in `TrackResult`; NaN where the source states none, as in a tracked video.
     info : dict
@@ -81,6 +83,7 @@ class Take:
     gaze: FloatArray
     vergence: FloatArray
     actions: FloatArray
+    teeth: FloatArray
     coefficients: FloatArray
     info: dict[str, Any] = field(default_factory=dict)
 
@@ -99,7 +102,7 @@ class Take:
 
 FIELDS = (
     *("times", "landmarks", "pose", "shape_params", "shape", "confidence", "found"),
-    *("landmark_confidence", "pupils", "gaze", "vergence", "actions", "coefficients"),
+    *("landmark_confidence", "pupils", "gaze", "vergence", "actions", "teeth", "coefficients"),
 )
 """Names of the arrays of a take, which have one row per frame."""
 DTYPES: dict[str, type] = {"times": np.float64, "pose": np.float64, "found": np.bool_}
@@ -182,6 +185,7 @@ def check_take(take: Take) -> None:
         "gaze": (count, 2),
         "vergence": (count,),
         "actions": (count, N_ACTIONS),
+        "teeth": (count,),
         "coefficients": (count, N_COEFFICIENTS),
     }
     for name, expected in shapes.items():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import nan
 from time import perf_counter
 
 import numpy as np
@@ -70,8 +71,11 @@ class FaceReader:
         pose, shape_params = fitted.pose, fitted.shape_params
         landmarks, shape = pdm.project(pose, shape_params), pdm.shape(shape_params)
         refined = perf_counter()
-        if colour is not None and (bared := bare_teeth(colour, pose, landmarks, shape)) is not shape:
-            shape, landmarks = bared, project_shape(bared, pose)
+        teeth = nan
+        if colour is not None:
+            bared, teeth = bare_teeth(colour, pose, landmarks, shape)
+            if bared is not shape:
+                shape, landmarks = bared, project_shape(bared, pose)
         timings["teeth"] += perf_counter() - refined
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
             shape, landmarks = held, project_shape(held, pose)
@@ -91,4 +95,5 @@ class FaceReader:
             gaze=gaze.direction,
             vergence=gaze.vergence,
             actions=actions,
+            teeth=teeth,
         )

@@ -72,6 +72,9 @@ class TrackResult:
     actions : (15,) float64
         Activations of `actions.ACTIONS`, which no landmark shows. The performer's values at rest are not yet
         subtracted. NaN if unknown.
+    teeth : float
+        How surely teeth are seen to fill the opening between the lips, 0 to 1: the jaw is shut then, although the lips
+        are not. 0 if the lips are shut, NaN if it is unknown, as in images without colours.
     coefficients : (52,) float64
         ARKit's coefficients, 0 to 1, in the order of `COEFFICIENTS`, if the source states them, as a phone does; NaN if
         they have to be found from the landmarks.
@@ -95,6 +98,7 @@ class TrackResult:
     gaze: FloatArray = field(default_factory=lambda: _unknown(2))
     vergence: float = nan
     actions: FloatArray = field(default_factory=lambda: _unknown(N_ACTIONS))
+    teeth: float = nan
     coefficients: FloatArray = field(default_factory=lambda: _unknown(N_COEFFICIENTS))
 
     @classmethod

@@ -57,8 +57,8 @@ ROTATION = Cutoffs(1.5, 30.0, 4.0)
 PLACE = Cutoffs(1.5, 60.0, 4.0)
 GAZE = Cutoffs(1.5, 8.0, 8.0)
 ACTION = Cutoffs(1.0, 6.0, 4.0)
-"""Cutoffs of the vergence of the eyes, in radians, of the actions and of stated coefficients, each filtered by
-itself."""
+"""Cutoffs of the vergence of the eyes, in radians, of the actions, of teeth and of stated coefficients, each filtered
+by itself."""
 
 
 class OneEuroFilter:
@@ -134,7 +134,7 @@ def _share(cutoff: FloatArray | float, step: FloatArray | float) -> FloatArray |
 class ResultSmoother:
     """Smooths the results of one performance, frame by frame.
 
-    Pose, shape, gaze, actions and coefficients are smoothed, and landmarks follow from pose and shape. Shape
+    Pose, shape, gaze, actions, teeth and coefficients are smoothed, and landmarks follow from pose and shape. Shape
     parameters, pupils and confidences remain as tracked. When tracking is lost the filters are reset, so that nothing
     is smoothed across the gap.
 
@@ -149,14 +149,14 @@ class ResultSmoother:
         self.amount = amount
         self._shape = [(rows, OneEuroFilter(cutoffs.softer(amount), 3)) for rows, cutoffs in SHAPE_PARTS.values()]
         self._rotation, self._place, self._gaze = (OneEuroFilter(c.softer(amount)) for c in (ROTATION, PLACE, GAZE))
-        each = (OneEuroFilter(ACTION.softer(amount), dims=0) for _ in range(3))
-        self._vergence, self._actions, self._coefficients = each
+        each = (OneEuroFilter(ACTION.softer(amount), dims=0) for _ in range(4))
+        self._vergence, self._actions, self._teeth, self._coefficients = each
         self._unit = 0.0
 
     def reset(self) -> None:
         """Forget past results."""
-        others = (self._rotation, self._place, self._gaze, self._vergence, self._actions, self._coefficients)
-        for each in (*others, *(part for _, part in self._shape)):
+        others = (self._vergence, self._actions, self._teeth, self._coefficients)
+        for each in (self._rotation, self._place, self._gaze, *others, *(part for _, part in self._shape)):
             each.reset()
         self._unit = 0.0
 
@@ -179,6 +179,7 @@ class ResultSmoother:
             gaze=_smoothed(self._gaze, result.gaze, time),
             vergence=float(_smoothed(self._vergence, np.array([result.vergence]), time)[0]),
             actions=_smoothed(self._actions, result.actions, time),
+            teeth=float(_smoothed(self._teeth, np.array([result.teeth]), time)[0]),
             coefficients=_smoothed(self._coefficients, result.coefficients, time),
         )
 

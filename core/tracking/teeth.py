@@ -1,12 +1,14 @@
-"""Bared teeth: the lips' inner rims, where lips are red and what is between them is not (method.md, section 3.13).
+"""Bared teeth: the lips' inner rims, where lips are red and what is between them is not, and whether teeth are shut
+(method.md, section 3.13).
 
 In grey, the lower teeth of a shut jaw look like a lip with a highlight, and the experts place the rims of lips that
-bare them too close together. Colour tells the two apart.
+bare them too close together. Colour tells the two apart. An open jaw leaves a dark gap between the teeth.
 """
 
 from __future__ import annotations
 
-from math import cos
+from math import ceil, cos, nan
+from statistics import median
 
 import cv2
 import numpy as np
@@ -37,6 +39,21 @@ _PINK = 0.5
 """Relative redness from which nothing counts as teeth: gums and tongues are red, highlights on lips pink."""
 _HALF_WAY = 0.5
 """Where the rim is between teeth and lip, as a share of the difference in redness."""
+_RIM = 1.0
+"""Distance in pixels from a rim within which rows belong neither to the lip nor to the opening."""
+_FEWEST = 3
+"""Smallest number of rows between lips that are not shut."""
+_PARTED, _OPEN = 5.0, 8.0
+"""Distances in pixels between the inner rims from which it counts whether teeth are shut, and from which it counts in
+full: less is hardly seen, and a jaw is hardly open."""
+_DARK, _LIGHT = 0.5, 0.8
+"""Lightness of the darkest row between the lips, relative to that of the lips, up to which there is a dark gap between
+the teeth, and from which there is none. This and the next were chosen on mouths of one half of the strangers' clips."""
+_TOOTH = 0.4, 0.55
+"""Redness of what is between the lips, relative to theirs, up to which it is teeth, and from which it is a tongue, gums
+or lips."""
+_COLOURED = 4.0
+"""Redness of lips, of 8 bits, below which an image has no colours."""
 _TURNED = 0.7
 """Yaw in radians from which the middle of the mouth is not seen well enough."""
 _STEEPEST = 0.5
@@ -45,27 +62,55 @@ _RIMS = np.r_[from_ibug([51]), UPPER_LIPS, LOWER_LIPS, from_ibug([57])]
 """Landmarks in the middle of the mouth, downwards: outer rim, inner rims, outer rim."""
 
 
-def bare_teeth(image: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> FloatArray:
-    """Return `shape` with the inner rims of the lips as far apart as teeth are seen; `shape` itself if none are.
+def bare_teeth(
+    image: NDArray[np.uint8], pose: FloatArray, landmarks: FloatArray, shape: FloatArray
+) -> tuple[FloatArray, float]:
+    """Return `shape` with the inner rims of the lips as far apart as teeth are seen, and how surely these are shut.
 
     `image` is BGR (H, W, 3); `pose` (6,), `landmarks` (66, 2) in pixels and `shape` (66, 3), in the head frame and
-    outer-eye distances, are as in `TrackResult`.
+    outer-eye distances, are as in `TrackResult`. The shape is `shape` itself if no rim moves. Teeth are as in
+    `TrackResult.teeth`.
     """
     if abs(pose[2]) > _TURNED:
-        return shape
+        return shape, nan
     rims, place = landmarks[_RIMS], pose.copy()
     place[4:6] = 0.5 * (rims[0] + rims[-1])
     crop = warp_to_reference(image, place, _SCALE, (_WIDTH, _HEIGHT))
-    red: list[float] = cv2.cvtColor(cv2.reduce(crop.pixels, 1, cv2.REDUCE_AVG), cv2.COLOR_BGR2LAB)[:, 0, 1].tolist()
+    colours = cv2.cvtColor(cv2.reduce(crop.pixels, 1, cv2.REDUCE_AVG), cv2.COLOR_BGR2LAB)[:, 0]
+    light, red = colours[:, 0].tolist(), colours[:, 1].tolist()
     rows = (rims @ crop.linear[1] + crop.shift[1]).tolist()
-    up, down = _hidden(red, rows[0], sum(rows[1:4]) / 3.0, sum(rows[4:7]) / 3.0, rows[7])
+    top, upper, lower, bottom = rows[0], sum(rows[1:4]) / 3.0, sum(rows[4:7]) / 3.0, rows[7]
+    up, down = _hidden(red, top, upper, lower, bottom)
+    teeth = _shut(light, red, top, upper - up, lower + down, bottom)
     if up <= 0.0 and down <= 0.0:
-        return shape
+        return shape, teeth
     out = shape.copy()
     upright = _SCALE * max(cos(pose[1]), _STEEPEST)
     out[UPPER_LIPS, 1] -= up / upright
     out[LOWER_LIPS, 1] += down / upright
-    return out
+    return out, teeth
+
+
+def _shut(light: list[float], red: list[float], top: float, upper: float, lower: float, bottom: float) -> float:
+    """How surely teeth fill the opening between the inner rims, at the rows `upper` and `lower`, 0 to 1.
+
+    `top` and `bottom` are the rows of the outer rims, `light` and `red` the colours of all rows. NaN if lips have no
+    colour.
+    """
+    between = slice(max(ceil(upper + _RIM), 0), max(int(lower - _RIM) + 1, 0))
+    lips = [
+        *range(max(int(top) + 1, 0), min(max(int(upper - _RIM), 0), _HEIGHT)),
+        *range(max(ceil(lower + _RIM), 0), min(int(bottom) + 1, _HEIGHT)),
+    ]
+    if len(light[between]) < _FEWEST or not lips:
+        return 0.0
+    redness = median(red[row] for row in lips) - 128.0
+    if redness < _COLOURED:
+        return nan
+    pink = (median(red[between]) - 128.0) / redness
+    dark = min(light[between]) / max(median(light[row] for row in lips), 1.0)
+    parted = _ramp(lower - upper, _PARTED, _OPEN)
+    return parted * _ramp(dark, _DARK, _LIGHT) * (1.0 - _ramp(pink, *_TOOTH))
 
 
 def _hidden(red: list[float], top: float, upper: float, lower: float, bottom: float) -> tuple[float, float]:

@@ -36,6 +36,7 @@ def make_take(
         gaze=np.full((count, 2), np.nan, np.float32) if gaze is None else gaze,
         vergence=np.full(count, np.nan, np.float32),
         actions=np.full((count, N_ACTIONS), np.nan, np.float32),
+        teeth=np.full(count, np.nan, np.float32),
         coefficients=np.full((count, N_COEFFICIENTS), np.nan, np.float32),
         info={"source": "performance.mp4", "fps": fps, "image_size": [640, 480]},
     )

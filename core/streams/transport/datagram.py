@@ -119,13 +119,13 @@ def encode_face(result: TrackResult) -> tuple[int, bytes]:
         return COEFFICIENTS, pose + steps.astype(">u2").tobytes()
     openings = [*eye_apertures(result.shape), mouth_aperture(result.shape)]
     numbers = [*result.shape.ravel(), *openings, *result.gaze, result.vergence, float(np.clip(result.confidence, 0, 1))]
-    actions = np.rint(np.clip(result.actions, 0.0, 1.98) / _ACTION_STEP)
+    shares = np.array([*result.actions, result.teeth])
+    shares = np.rint(np.clip(shares, 0.0, 1.98) / _ACTION_STEP)
     return LANDMARKS, b"".join(
         (
             pose,
             _shorts(np.array(numbers)),
-            np.nan_to_num(actions, nan=_UNKNOWN_ACTION).astype(np.uint8).tobytes(),
-            b"\0",
+            np.nan_to_num(shares, nan=_UNKNOWN_ACTION).astype(np.uint8).tobytes(),
         )
     )
 
@@ -158,7 +158,8 @@ def _landmarks(body: bytes, pose: FloatArray) -> TrackResult:
     if not np.isfinite(shape).all() or not 0.0 <= confidence[0] <= 1.0:
         raise PacketError("a landmark is missing")
     shape = shape.reshape(-1, 3)
-    actions: NDArray[np.float64] = np.frombuffer(body, np.uint8, N_ACTIONS, 2 * count).astype(np.float64)
+    shares: NDArray[np.float64] = np.frombuffer(body, np.uint8, N_ACTIONS + 1, 2 * count).astype(np.float64)
+    shares = np.where(shares == _UNKNOWN_ACTION, np.nan, shares * _ACTION_STEP)
     return TrackResult(
         found=True,
         landmarks=project_shape(shape, pose),
@@ -168,7 +169,8 @@ def _landmarks(body: bytes, pose: FloatArray) -> TrackResult:
         confidence=float(confidence[0]),
         gaze=gaze,
         vergence=float(vergence[0]),
-        actions=np.where(actions == _UNKNOWN_ACTION, np.nan, actions * _ACTION_STEP),
+        actions=shares[:N_ACTIONS],
+        teeth=float(np.minimum(shares[N_ACTIONS], 1.0)),
     )
 
 

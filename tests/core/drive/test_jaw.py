@@ -8,7 +8,9 @@ import pytest
 from facemime.core.drive.posing import Jaw
 from facemime.core.face.landmarks import CHIN, LOWER_LIPS, outer_eye_distance
 from facemime.core.face.rotation import fit_rotation
-from facemime.core.heads.built_in import load_head
+from facemime.core.heads.bite import bite_of
+from facemime.core.heads.built_in import WOMAN_FILE, load_head
+from facemime.core.heads.rig import built_in_head
 
 HEAD = load_head()
 LANDMARKS = HEAD.vertices[HEAD.landmarks].astype(np.float64)
@@ -56,3 +58,25 @@ def test_sealed_lips_do_not_shut_an_open_jaw():
 
 def test_a_motionless_chin_does_not_turn_the_jaw():
     np.testing.assert_allclose(JAW.rotation(np.zeros((66, 3))), np.eye(3), atol=1e-12)
+
+
+@pytest.mark.parametrize("file", [None, WOMAN_FILE])
+@pytest.mark.parametrize("opened", [0.0, 0.4])
+def test_shut_teeth_meet_however_far_the_chin_was_tracked_down(file, opened):
+    head = load_head(file)
+    landmarks = head.vertices[head.landmarks].astype(np.float64)
+    jaw = Jaw(landmarks, head.jaw_pivot, bite_of(built_in_head()))
+    upper, lower = (head.part(f"teeth_{row}").vertices.astype(np.float64) for row in ("upper", "lower"))
+    below = []
+    for teeth in (0.0, 0.5, 1.0):
+        turned = (lower - head.jaw_pivot) @ jaw.rotation(motion(jawOpen=opened), teeth).T + head.jaw_pivot
+        below.append((front(turned)[:, 1].min() - front(upper)[:, 1].max()) / UNIT)
+    assert below[0] > 0.03 and below[0] > below[1] > below[2]
+    assert -0.025 < below[2] < 0.0
+    np.testing.assert_array_equal(jaw.rotation(motion(jawOpen=opened)), jaw.rotation(motion(jawOpen=opened), 0.0))
+
+
+def front(teeth: np.ndarray) -> np.ndarray:
+    """The front teeth of a row."""
+    middle = teeth[np.abs(teeth[:, 0]) < 0.12 * UNIT]
+    return middle[middle[:, 2] < middle[:, 2].min() + 0.06 * UNIT]

@@ -10,6 +10,7 @@ from facemime.core.drive.retarget import Retargeter
 from facemime.core.errors import HeadError, SourceError
 from facemime.core.face.landmarks import (
     BROWS,
+    CHIN,
     LIPS,
     LOWER_LIDS,
     LOWER_LIPS,
@@ -198,6 +199,21 @@ def test_the_lower_lip_of_an_open_mouth_is_rounder_than_it_is_tracked_and_its_si
     assert left / middle > tracked[0] / tracked[1] + 0.05
     corners = shown[MOUTH_CORNERS, 0]
     assert corners[0] == pytest.approx(-corners[1], rel=1e-6) and corners[1] > 0.0
+
+
+@pytest.mark.parametrize("teeth", [0.0, 0.4, 1.0, np.nan])
+def test_the_chin_sinks_the_less_the_more_surely_teeth_are_shut_and_all_else_moves_as_before(rig, teeth):
+    retargeter = Retargeter(performer(rig), rig.vertices[rig.landmarks], compensate=True)
+    opened, raised = (performer(rig) + np.array([0.0, y, 0.0]) for y in (0.05, -0.05))
+    known, shown = retargeter.displacements(opened), retargeter.displacements(opened, teeth)
+    share = 1.0 if np.isnan(teeth) else 1.0 - teeth
+    np.testing.assert_allclose(shown[CHIN, 1], share * known[CHIN, 1], atol=1e-12)
+    others = np.setdiff1d(np.arange(66), CHIN)
+    np.testing.assert_array_equal(shown[others], known[others])
+    np.testing.assert_array_equal(shown[CHIN][:, [0, 2]], known[CHIN][:, [0, 2]])
+    np.testing.assert_array_equal(retargeter.displacements(raised, teeth), retargeter.displacements(raised))
+    both = retargeter.displacements(np.array([opened, raised]), [teeth, teeth])
+    np.testing.assert_allclose(both[0], shown, atol=1e-12)
 
 
 def test_a_mouth_that_moves_sideways_keeps_its_shape_and_moves_as_it_is_tracked(rig):

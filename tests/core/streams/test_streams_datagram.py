@@ -1,6 +1,7 @@
 """Facemime's own packets follow their documentation, survive encoding, and are refused if invalid."""
 
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,6 +47,18 @@ def test_landmarks_come_back_to_a_step_of_a_take():
         np.testing.assert_allclose(frame.face.shape, result.shape, atol=2.0**-14)
         np.testing.assert_allclose(frame.face.pose, result.pose, rtol=1e-6)
         assert np.isnan(frame.face.gaze).all() and np.isnan(frame.face.actions).all()
+
+
+@pytest.mark.parametrize("teeth", [0.0, 0.3, 1.0, np.nan])
+def test_shut_teeth_come_back_to_a_step(teeth):
+    result = replace(performance().result(0), teeth=teeth)
+    found = datagram.decode_face(datagram.unpack(own(result))).face
+    np.testing.assert_allclose(found.teeth, teeth, atol=0.5 / 128.0)
+
+
+def test_teeth_of_earlier_senders_are_not_shut():
+    data = own(performance().result(0))
+    assert datagram.decode_face(datagram.unpack(data[:-1] + b"\0")).face.teeth == 0.0
 
 
 @given(SHARES, ANGLES)

@@ -14,6 +14,7 @@ from facemime.core.drive.driver import HeadDriver
 from facemime.core.errors import SourceError
 from facemime.core.face.landmarks import (
     BROWS,
+    CHIN,
     EYE_LEFT,
     EYE_RIGHT,
     JAW,
@@ -68,6 +69,17 @@ def flat(count: int = 150, sure: float = 0.8) -> Take:
     shape[:, BROWS, 1] -= 0.05 * (1.0 - np.cos(np.arange(count) / 7.0))[:, None]
     take = make_take(shape)
     return replace(take, landmark_confidence=np.full((count, N_LANDMARKS), sure, np.float32))
+
+
+def test_a_pinned_chin_says_whether_the_jaw_is_open_not_the_teeth():
+    take = replace(flat(), teeth=np.ones(150, np.float32))
+    true = seen(take)
+    true[:, CHIN, 1] += 0.04
+    solved = solve_pins(pin(take, true, 75, CHIN))
+    assert np.isnan(solved.teeth[75]) and solved.teeth[0] == 1.0
+    true = seen(take)
+    true[:, BROWS, 1] -= 0.04
+    np.testing.assert_array_equal(solve_pins(pin(take, true, 75, BROWS)).teeth, take.teeth)
 
 
 @settings(max_examples=25, deadline=None)

@@ -82,7 +82,7 @@ def test_frames_are_read_without_the_description(written):
 
 def test_a_take_of_the_first_format_opens_without_actions_and_keeps_everything_else():
     take = load_take(Path(__file__).parents[2] / "data" / "before_floors" / "take.facetake")
-    assert np.isnan(take.actions).all() and np.isnan(take.vergence).all()
+    assert np.isnan(take.actions).all() and np.isnan(take.vergence).all() and np.isnan(take.teeth).all()
     assert take.actions.shape == (len(take), N_ACTIONS)
     assert np.isfinite(take.shape[take.found]).all()
     again = layout.frames_of(frames_content(take), len(take))

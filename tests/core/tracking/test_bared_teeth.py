@@ -1,4 +1,4 @@
-"""Inner rims of lips that bare the teeth, on painted mouths whose rims are known."""
+"""Inner rims of lips that bare the teeth, and shut teeth, on painted mouths whose rims are known."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from facemime.core.tracking.teeth import bare_teeth
 from facemime.core.tracking.tracker import FaceTracker
 
 SKIN, LIPS, TEETH = (130, 160, 205), (95, 90, 180), (190, 205, 215)
+DARK, TONGUE = (25, 20, 30), (90, 90, 175)
 """BGR."""
 SHAPE = FaceTracker.load().pdm.mean_shape.copy()
 MIDDLE = 0.5 * float(SHAPE[UPPER_LIPS, 1].mean() + SHAPE[LOWER_LIPS, 1].mean())
@@ -23,8 +24,13 @@ SHAPE[[49, 50, 51, 52, 53], 1] = MIDDLE - 0.14
 SHAPE[[55, 56, 57, 58, 59], 1] = MIDDLE + 0.16
 
 
-def mouth(top: float, bottom: float, pose: np.ndarray, between: tuple[int, int, int] = TEETH) -> np.ndarray:
-    """A face with lips, and teeth from `top` to `bottom`, in eye distances from the middle of the tracked mouth."""
+def mouth(
+    top: float, bottom: float, pose: np.ndarray, between: tuple[int, int, int] = TEETH, gap: float = 0.0
+) -> np.ndarray:
+    """A face with lips, and teeth from `top` to `bottom`, in eye distances from the middle of the tracked mouth.
+
+    In the middle of the teeth there is a dark `gap`.
+    """
     # Painted four times as large, as a filled polygon covers the pixels that its border touches.
     image = np.full((1600, 1600, 3), SKIN, np.uint8)
 
@@ -36,11 +42,20 @@ def mouth(top: float, bottom: float, pose: np.ndarray, between: tuple[int, int, 
 
     fill(-0.14, 0.16, LIPS)
     fill(top, bottom, between)
+    if gap:
+        fill(0.5 * (top + bottom - gap), 0.5 * (top + bottom + gap), DARK)
     return np.asarray(cv2.resize(image, (400, 400), interpolation=cv2.INTER_AREA))
 
 
 def bared(image: np.ndarray, pose: np.ndarray) -> np.ndarray:
-    return bare_teeth(image, pose, project_shape(SHAPE, pose), SHAPE)
+    return bare_teeth(image, pose, project_shape(SHAPE, pose), SHAPE)[0]
+
+
+def shut(image: np.ndarray, pose: np.ndarray, top: float, bottom: float) -> float:
+    """How surely teeth are shut between lips whose inner rims are tracked at `top` and `bottom`."""
+    parted = SHAPE.copy()
+    parted[UPPER_LIPS, 1], parted[LOWER_LIPS, 1] = MIDDLE + top, MIDDLE + bottom
+    return bare_teeth(image, pose, project_shape(parted, pose), parted)[1]
 
 
 @given(
@@ -65,7 +80,7 @@ def test_inner_rims_move_to_the_ends_of_the_teeth(
     "image",
     [
         pytest.param(mouth(0.0, 0.0, np.array([80.0, 0, 0, 0, 200, 200]), LIPS), id="shut lips"),
-        pytest.param(mouth(-0.1, 0.1, np.array([80.0, 0, 0, 0, 200, 200]), (90, 90, 175)), id="a tongue"),
+        pytest.param(mouth(-0.1, 0.1, np.array([80.0, 0, 0, 0, 200, 200]), TONGUE), id="a tongue"),
         pytest.param(mouth(0.06, 0.1, np.array([80.0, 0, 0, 0, 200, 200])), id="a highlight on the lower lip"),
         pytest.param(np.full((400, 400, 3), SKIN, np.uint8), id="no lips at all"),
         pytest.param(np.full((400, 400, 3), 128, np.uint8), id="grey"),
@@ -82,7 +97,7 @@ def test_rims_never_move_closer_and_something_is_left_of_each_lip() -> None:
     wide = SHAPE.copy()
     wide[UPPER_LIPS, 1] -= 0.07
     wide[LOWER_LIPS, 1] += 0.07
-    assert bare_teeth(mouth(-0.03, 0.03, pose), pose, project_shape(wide, pose), wide) is wide
+    assert bare_teeth(mouth(-0.03, 0.03, pose), pose, project_shape(wide, pose), wide)[0] is wide
     found = bared(mouth(-0.125, 0.145, pose), pose)
     assert 0.15 < mouth_aperture(found) <= 0.30 - 0.04 + 1e-9
 
@@ -99,3 +114,34 @@ def test_the_less_the_teeth_differ_from_lips_the_less_rims_move() -> None:
     ]
     gaps = [float(mouth_aperture(bared(mouth(-0.08, 0.08, pose, colour), pose))) for colour in paler]
     assert gaps == sorted(gaps) and gaps[0] < 0.04 and gaps[-1] > 0.14
+
+
+@given(
+    st.floats(-0.1, -0.06),
+    st.floats(0.06, 0.11),
+    st.floats(50.0, 160.0),
+    st.floats(-0.6, 0.6),
+    st.floats(-0.3, 0.3),
+)
+def test_teeth_without_a_dark_gap_are_shut_and_others_are_not(
+    top: float, bottom: float, scale: float, roll: float, yaw: float
+) -> None:
+    pose = np.array([scale, 0.0, yaw, roll, 200.0, 200.0])
+    assert shut(mouth(top, bottom, pose), pose, top, bottom) > 0.9
+    assert shut(mouth(top, bottom, pose, gap=0.05), pose, top, bottom) < 0.1
+    assert shut(mouth(top, bottom, pose, TONGUE), pose, top, bottom) == 0.0
+    assert shut(mouth(top, bottom, pose, DARK), pose, top, bottom) == 0.0
+
+
+def test_the_less_lips_are_parted_the_less_surely_teeth_are_shut_and_not_at_all_between_shut_lips() -> None:
+    pose = np.array([80.0, 0.0, 0.0, 0.0, 200.0, 200.0])
+    found = [shut(mouth(-half, half, pose), pose, -half, half) for half in (0.002, 0.02, 0.035, 0.045, 0.06)]
+    assert found[:2] == [0.0, 0.0] and found == sorted(found) and 0.0 < found[3] < found[4]
+
+
+def test_it_is_unknown_in_grey_and_on_a_turned_head_whether_teeth_are_shut() -> None:
+    pose = np.array([80.0, 0.0, 0.0, 0.0, 200.0, 200.0])
+    grey = cv2.cvtColor(cv2.cvtColor(mouth(-0.08, 0.08, pose), cv2.COLOR_BGR2GRAY), cv2.COLOR_GRAY2BGR)
+    assert np.isnan(shut(grey, pose, -0.08, 0.08))
+    turned = np.array([80.0, 0.0, 0.9, 0.0, 200.0, 200.0])
+    assert np.isnan(shut(mouth(-0.08, 0.08, turned), turned, -0.08, 0.08))
