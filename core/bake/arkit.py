@@ -212,6 +212,7 @@ def _found(observer: Observer, results: Sequence[TrackResult]) -> FloatArray:
         np.array([observer.driven(result) for result in results]),
         gaze,
         np.array([observer.shown(result) for result in results]),
+        np.array([result.teeth for result in results]),
     )
 
 
@@ -250,7 +251,8 @@ class FrameCoefficients:
         observed = self._observer.face(result)[None]
         actions = bool(has_actions(observed)[0])
         fitted = _solver(actions).frames(observed, self._near)
-        return _completed(fitted, self._observer.driven(result)[None], gaze, self._observer.shown(result)[None])
+        driven, shown = self._observer.driven(result)[None], self._observer.shown(result)[None]
+        return _completed(fitted, driven, gaze, shown, np.array([result.teeth]))
 
 
 def _scaled(coefficients: FloatArray, looks: FloatArray | None, lids: FloatArray | None) -> FloatArray:
@@ -262,23 +264,31 @@ def _scaled(coefficients: FloatArray, looks: FloatArray | None, lids: FloatArray
     return coefficients
 
 
-def coefficients_of(observed: FloatArray, driven: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
+def coefficients_of(
+    observed: FloatArray,
+    driven: FloatArray,
+    gaze: FloatArray,
+    shown: FloatArray,
+    teeth: FloatArray | None = None,
+) -> FloatArray:
     """Find the coefficients (N, 52), 0 to 1, of frames of one performer from what `Observer` gives.
 
     These are observations (N, 213), displacements of the driven head (N, 198), rotations (N, 2, 3, 3) of the right and
-    left eyeball, and activations (N, 15) of `ACTIONS`.
+    left eyeball, and activations (N, 15) of `ACTIONS`; `teeth` (N,) are as in `TrackResult`.
     """
     fitted = np.zeros((len(observed), len(FITTED)))
     complete = has_actions(observed)
     for actions in set(complete.tolist()):
         rows = np.flatnonzero(complete == actions)
         fitted[rows] = _solver(actions).take(observed[rows])
-    return _completed(fitted, driven, gaze, shown)
+    return _completed(fitted, driven, gaze, shown, teeth)
 
 
-def _completed(fitted: FloatArray, driven: FloatArray, gaze: FloatArray, shown: FloatArray) -> FloatArray:
+def _completed(
+    fitted: FloatArray, driven: FloatArray, gaze: FloatArray, shown: FloatArray, teeth: FloatArray | None
+) -> FloatArray:
     """Turn the coefficients `FITTED` of the model, (N, 44), into all, (N, 52), that look as the driven head does."""
-    found = alike(_with_measured(_with_looks(_as_phones(fitted), gaze), shown), driven)
+    found = alike(_with_measured(_with_looks(_as_phones(fitted), gaze), shown), driven, teeth)
     found[:, FITTED] = _sealed(found[:, FITTED], driven)
     return found
 

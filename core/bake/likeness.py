@@ -75,19 +75,26 @@ class _Half:
     opposite: NDArray[np.intp]
 
 
-def alike(coefficients: FloatArray, moved: FloatArray) -> FloatArray:
+def alike(coefficients: FloatArray, moved: FloatArray, teeth: FloatArray | None = None) -> FloatArray:
     """Return coefficients (N, 52) near the given ones with which the built-in head looks as it is driven.
 
     `moved` (N, 198) are the displacements of its landmarks, in outer-eye distances. Of each exclusive pair, one has to
-    be 0, and is afterwards. Eyes that are seen shut are shut.
+    be 0, and is afterwards. Eyes that are seen shut are shut, and so are jaws whose `teeth` (N,), as in `TrackResult`,
+    are.
     """
     out = coefficients.copy()
+    shut = np.zeros(len(out)) if teeth is None else np.nan_to_num(teeth)
     for half in _halves():
         acted = coefficients[:, half.keys]
         products = multiply(moved, half.readout) - multiply(coefficients, half.fixed) + half.pull * acted
         lower, upper = np.zeros(len(half.keys)), np.ones(len(half.keys))
         for row, (product, start) in enumerate(zip(products, acted, strict=True)):
             out[row, half.keys] = bounded_minimum(half.gram, product, lower, upper, start, half.opposite)
+            if shut[row] > 0.0 and len(jaw := np.flatnonzero(half.keys == _OPENS)):
+                # The lips open again, without the jaw.
+                less = upper.copy()
+                less[jaw] = (1.0 - shut[row]) * out[row, _OPENS]
+                out[row, half.keys] = bounded_minimum(half.gram, product, lower, less, start, half.opposite)
     out[:, _CLOSES] = np.minimum(out[:, _CLOSES], out[:, _OPENS])
     return _blinking(out, moved)
 

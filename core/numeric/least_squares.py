@@ -132,7 +132,7 @@ def _solve(
     for _ in range(64 * len(gram)):  # terminates, as the objective falls with each step; the limit is for rounding
         slope = gram @ x - product
         wrong = np.where(x <= lower, -slope, np.where(x >= upper, slope, 0.0))
-        wrong[free] = 0.0
+        wrong[free | (lower >= upper)] = 0.0
         if opposite is not None:
             wrong[(opposite >= 0) & (x[opposite] > 0.0)] = 0.0
         worst = int(np.argmax(wrong)) if len(wrong) else 0
@@ -167,6 +167,7 @@ def _pivot(
         slope = gram @ x - product
         below, above = free & (x < lower), free & (x > upper)
         leaving = ~free & np.where(x <= lower, slope < -tolerance, (x >= upper) & (slope > tolerance))
+        leaving &= lower < upper
         if opposite is not None:
             rising = np.where(leaving & (x <= lower), slope, 0.0) / np.sqrt(np.diag(gram))
             leaving &= (rising == 0.0) | _one_way(rising, x > 0.0, opposite)

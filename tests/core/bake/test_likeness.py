@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.bake.likeness import _LOWER, _UPPER, alike
-from facemime.core.face.landmarks import LOWER_LIDS, N_LANDMARKS, UPPER_LIDS, outer_eye_distance
+from facemime.core.face.landmarks import LOWER_LIDS, LOWER_LIPS, N_LANDMARKS, UPPER_LIDS, UPPER_LIPS, outer_eye_distance
 from facemime.core.face.names import COEFFICIENT_INDEX, COEFFICIENT_MIRROR, COEFFICIENTS, EXCLUSIVE
 from facemime.core.heads.built_in import landmarks_at_rest, load_head
 
@@ -105,6 +105,24 @@ def test_lips_that_part_over_clenched_teeth_open_the_jaw_less_than_a_jaw_that_dr
     jaw = COEFFICIENT_INDEX["jawOpen"]
     assert parted[0, jaw] < 0.8 * opened[0, jaw]
     assert parted[0, COEFFICIENT_INDEX["mouthUpperUpLeft"]] > 3.0 * opened[0, COEFFICIENT_INDEX["mouthUpperUpLeft"]]
+
+
+@pytest.mark.parametrize("amount", [0.2, 0.5])
+def test_jaws_whose_teeth_are_shut_stay_shut_and_the_lips_part_without_them(units, amount):
+    jaw, moved = COEFFICIENT_INDEX["jawOpen"], acted(jawOpen=amount) @ units
+    loose, unknown, half, shut = (
+        alike(acted(jawOpen=amount), moved, teeth)[0]
+        for teeth in (None, np.array([np.nan]), np.array([0.5]), np.array([1.0]))
+    )
+    np.testing.assert_array_equal(unknown, loose)
+    assert half[jaw] == pytest.approx(0.5 * loose[jaw]) and shut[jaw] == shut[COEFFICIENT_INDEX["mouthClose"]] == 0.0
+    assert lip_gap(shut @ units) > 0.5 * lip_gap(loose @ units)
+
+
+def lip_gap(moved: np.ndarray) -> float:
+    """How far displacements (198,) part the inner lips."""
+    landmarks = moved.reshape(-1, 3)
+    return float((landmarks[LOWER_LIPS, 1] - landmarks[UPPER_LIPS, 1]).mean())
 
 
 def test_a_flipped_face_has_the_coefficients_of_the_other_side(units):

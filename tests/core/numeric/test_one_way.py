@@ -34,3 +34,19 @@ def test_the_direction_that_gains_is_taken_from_any_start(start):
     gram = np.array([[1.0, -0.9], [-0.9, 1.0]])
     x = bounded_minimum(gram, np.array([-0.2, 0.7]), np.zeros(2), np.full(2, np.inf), np.array(start), np.array([1, 0]))
     np.testing.assert_allclose(x, (0.0, 0.7), atol=1e-9)
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(0, 2**32 - 1), st.integers(2, 12))
+def test_variables_whose_bounds_are_equal_stay_and_the_others_are_at_the_minimum(seed, count):
+    rng = np.random.default_rng(seed)
+    matrix = rng.normal(size=(count + 3, count))
+    gram, product = matrix.T @ matrix, matrix.T @ rng.normal(size=count + 3)
+    fixed = rng.random(count) < 0.4
+    lower = rng.uniform(-0.5, 0.5, count)
+    upper = np.where(fixed, lower, lower + 1.0)
+    x = bounded_minimum(gram, product, lower, upper, rng.uniform(-1.0, 1.0, count))
+    rest = product[~fixed] - gram[np.ix_(~fixed, fixed)] @ lower[fixed]
+    others = bounded_minimum(gram[np.ix_(~fixed, ~fixed)], rest, lower[~fixed], upper[~fixed], lower[~fixed])
+    np.testing.assert_array_equal(x[fixed], lower[fixed])
+    np.testing.assert_allclose(x[~fixed], others, atol=1e-6)
