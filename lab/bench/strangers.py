@@ -151,7 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         measured[half]["the other program's landmarks, their mean"] = {"across": across(peers)}
     as_driven = {name: driven(clip.take, rig) for name, clip in clips.items()}
     stated: dict[str, dict[str, tuple[float, int, float, float]]] = {}
-    for rule, values in ((_ACTED, {(arkit, "alike"): lambda coefficients, _: coefficients}), (_KEYED, {})):
+    for rule, values in ((_ACTED, {(arkit, "alike"): lambda coefficients, *_: coefficients}), (_KEYED, {})):
         with patched(values):
             found = {name: arkit_coefficients(clip.take, calibrate(clip.take)) for name, clip in clips.items()}
         keyed = {name: by_keys(clip.take, found[name]) for name, clip in clips.items()}
