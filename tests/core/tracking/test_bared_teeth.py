@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from facemime.core.face.landmarks import LOWER_LIPS, UPPER_LIPS, mouth_aperture
@@ -116,6 +116,7 @@ def test_the_less_the_teeth_differ_from_lips_the_less_rims_move() -> None:
     assert gaps == sorted(gaps) and gaps[0] < 0.04 and gaps[-1] > 0.14
 
 
+@settings(max_examples=20, deadline=None)
 @given(
     st.floats(-0.1, -0.06),
     st.floats(0.06, 0.11),
