@@ -31,7 +31,7 @@ def add_reference(
     Raises SourceError if the video cannot be read.
     """
     with VideoSource(path) as video:
-        turn, pixel_aspect = video.turn, video.pixel_aspect
+        turn, mirrored, pixel_aspect = video.turn, video.mirrored, video.pixel_aspect
     image = bpy.data.images.load(str(path), check_existing=True)
     image.source = "MOVIE"
     empty = bpy.data.objects.new(f"{path.stem} Reference", None)
@@ -45,6 +45,8 @@ def add_reference(
     if turned and turn % 180:
         width, height = height, width
     _place(empty, head, width / max(height, 1), radians(turn) if turned else 0.0)
+    if mirrored:  # which no Blender does, before or after its rotation
+        empty.scale[1 if turned or turn % 180 == 0 else 0] = -1.0
     scene.collection.objects.link(empty)
     return empty
 

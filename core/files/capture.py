@@ -21,7 +21,7 @@ from ..errors import Message, OutputError, SourceError
 from ..numeric.opencv import silence_opencv
 from .closing import Closing
 from .frame_rate import FASTEST, nominal_rate
-from .media_headers import TIFF, stated_size
+from .media_headers import TIFF, is_mirrored, stated_size
 from .picture_names import in_order, places
 from .reading import read_bytes
 from .writing import reason_of, replacing
@@ -64,13 +64,16 @@ class VideoSource(Closing):
     Parameters
     ----------
     path : Path
-        Any file that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. Frames are rotated upright as
-        the file states, as phone videos require, and stretched if their pixels are not square, as those of DV are.
+        Any file that OpenCV's FFmpeg reads: H.264, HEVC, MPEG-4, VP8/9, MJPEG; not AV1. Frames are rotated upright and
+        mirrored as the file states, as phone videos require, and stretched if their pixels are not square, as those of
+        DV are.
 
     Attributes
     ----------
     turn : int
         Degrees by which the stored frames are rotated clockwise: 0, 90, 180 or 270.
+    mirrored : bool
+        Whether they are mirrored from top to bottom before.
     pixel_aspect : float
         Width of the stored pixels, before they are rotated and stretched, divided by their height.
     fps : float
@@ -107,6 +110,7 @@ class VideoSource(Closing):
             )
         self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 1)
         self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
+        self.mirrored = is_mirrored(self.path)
         self.pixel_aspect = self._pixel_aspect()
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.fps = nominal_rate(fps, self._first_times)
@@ -126,6 +130,8 @@ class VideoSource(Closing):
         read, image = self._capture.retrieve()
         if not read or image is None:
             return None
+        if self.mirrored:  # OpenCV has rotated it
+            image = cv2.flip(image, 0 if self.turn % 180 == 0 else 1)
         return self._squared(np.asarray(image, dtype=np.uint8))
 
     def times(self) -> Iterator[float]:

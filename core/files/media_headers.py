@@ -1,10 +1,13 @@
-"""What the headers of media files state: the size of an image, read before anything is decoded, and when images and
-sound start.
+"""What the headers of media files state: the size of an image, read before anything is decoded, when images and sound
+start, and whether images are mirrored.
 
 A PNG of 65 bytes may state any size, and OpenCV allocates up to a thousand megapixels before it reads further.
 
 Recordings often start with sound, such as those of browsers and screen recorders, and files that were cut without
 being encoded again. Players that show images and sound separately have to shift one of them.
+
+Front cameras and programs that flip a video without encoding it again store it mirrored. OpenCV and Blender only rotate
+it, by the angle of its first axis: one that is mirrored from left to right is upside down.
 """
 
 from __future__ import annotations
@@ -127,15 +130,20 @@ _ALL_ITEMS = 10_000_000
 _FAULTS = (OSError, struct.error, IndexError, KeyError, ZeroDivisionError, OverflowError)
 """What reading a damaged file raises."""
 _MATROSKA = b"\x1a\x45\xdf\xa3"
+_MP4 = (b"ftyp", b"moov", b"mdat", b"wide", b"free")
+"""Boxes with which an MP4 or MOV begins."""
 _BOXES = {b"moov", b"trak", b"edts", b"mdia", b"minf", b"stbl"}
 """Boxes of MP4 that contain others; ISO/IEC 14496-12."""
 _HANDLERS = {b"vide": VIDEO, b"soun": SOUND}
 
 _SEGMENT, _INFO, _TRACKS, _TRACK, _CLUSTER, _GROUP = 0x18538067, 0x1549A966, 0x1654AE6B, 0xAE, 0x1F43B675, 0xA0
+_PICTURE, _PROJECTION = 0xE0, 0x7670
 """Elements of Matroska that contain others; RFC 9559."""
-_SCALE, _TRACK_NUMBER, _TRACK_TYPE, _TIMESTAMP = 0x2AD7B1, 0xD7, 0x83, 0xE7
+_SCALE, _TRACK_NUMBER, _TRACK_TYPE, _TIMESTAMP, _YAW = 0x2AD7B1, 0xD7, 0x83, 0xE7, 0x7673
 _BLOCKS = (0xA3, 0xA1)
 _TYPES = {1: VIDEO, 2: SOUND}
+_BEHIND = 180.0
+"""Degrees of yaw of a flat picture that is seen from behind."""
 
 
 def sound_lead(path: Path) -> float:
@@ -155,7 +163,7 @@ def read_starts(path: Path) -> Starts:
             size = file.seek(0, 2)
             if head[:4] == _MATROSKA:
                 return _starts_of_matroska(file, size)
-            return _starts_of_mp4(file, size) if head[4:] in (b"ftyp", b"moov", b"mdat", b"wide", b"free") else {}
+            return _starts_of_mp4(file, size) if head[4:] in _MP4 else {}
     except _FAULTS:
         return {}
 
@@ -174,6 +182,54 @@ def last_image(path: Path) -> float | None:
     except _FAULTS:
         return None
     return max(times) - times[0] if times else None
+
+
+def is_mirrored(path: Path) -> bool:
+    """Return whether the images of an MP4, MOV or Matroska file are to be displayed mirrored; False if it is damaged.
+
+    Players mirror the stored images from top to bottom, and then rotate them by the angle that OpenCV states.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(8)
+            size = file.seek(0, 2)
+            if head[:4] == _MATROSKA:
+                return _is_matroska_mirrored(file, size)
+            return head[4:] in _MP4 and _is_mp4_mirrored(file, size)
+    except _FAULTS:
+        return False
+
+
+def _is_mp4_mirrored(file: BinaryIO, size: int) -> bool:
+    """Both the movie and its track have a matrix; a mirroring one has a negative determinant."""
+    movie = track = False
+    for name, content in _boxes(file, 0, size):
+        if name == b"mvhd":
+            movie = _is_reflection(content, 48 if content[:1] == b"\x01" else 36)
+        elif name == b"tkhd":
+            track = _is_reflection(content, 52 if content[:1] == b"\x01" else 40)
+        elif name == b"hdlr" and content[8:12] == b"vide":
+            return movie != track
+    return False
+
+
+def _is_reflection(header: bytes, place: int) -> bool:
+    a, b, _, c, d = struct.unpack_from(">5i", header, place)
+    return int(a * d - b * c) < 0
+
+
+def _is_matroska_mirrored(file: BinaryIO, size: int) -> bool:
+    """A flat picture that is seen from behind is mirrored."""
+    kind = 0
+    for name, content in _elements(file, size, _MOST_ITEMS):
+        if name in _BLOCKS:
+            break
+        if name == _TRACK_TYPE:
+            kind = int.from_bytes(content, "big")
+        elif name == _YAW and _TYPES.get(kind) == VIDEO and len(content) in (4, 8):
+            (yaw,) = struct.unpack(">f" if len(content) == 4 else ">d", content)
+            return bool(abs(yaw) == _BEHIND)
+    return False
 
 
 def _starts_of_mp4(file: BinaryIO, size: int) -> Starts:
@@ -221,7 +277,7 @@ def _unit_of(header: bytes) -> int:
 
 def _boxes(file: BinaryIO, start: int, end: int) -> Iterator[tuple[bytes, bytes]]:
     """Yield names and contents of the boxes that matter; that of a track is empty, and its own follow."""
-    wanted = (b"mvhd", b"mdhd", b"hdlr", b"elst", b"ctts")
+    wanted = (b"mvhd", b"tkhd", b"mdhd", b"hdlr", b"elst", b"ctts")
     ends, place = [end], start
     for _ in range(_MOST_ITEMS):
         while len(ends) > 1 and place >= ends[-1]:
@@ -283,8 +339,8 @@ def _elements(file: BinaryIO, size: int, most: int) -> Iterator[tuple[int, bytes
 
     Raises struct.error at the end of a file that ends before an element does; a recording of a browser states no ends.
     """
-    inside = (_SEGMENT, _INFO, _TRACKS, _TRACK, _CLUSTER, _GROUP)
-    wanted = (_SCALE, _TRACK_NUMBER, _TRACK_TYPE, _TIMESTAMP, *_BLOCKS)
+    inside = (_SEGMENT, _INFO, _TRACKS, _TRACK, _PICTURE, _PROJECTION, _CLUSTER, _GROUP)
+    wanted = (_SCALE, _TRACK_NUMBER, _TRACK_TYPE, _TIMESTAMP, _YAW, *_BLOCKS)
     place = end = 0
     for _ in range(most):
         file.seek(place)

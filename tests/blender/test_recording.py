@@ -6,7 +6,7 @@ from math import cos, radians, sin
 import bpy
 import numpy as np
 import pytest
-from mathutils import Vector
+from mathutils import Matrix, Vector
 
 from facemime.blender.heads.new_heads import add_head
 from facemime.blender.reference import add_reference
@@ -243,3 +243,16 @@ def test_a_phone_video_is_upright_beside_the_head(tmp_path, turn):
     assert (top - expected).length < 1e-5
     right, height = head.bound_box[0][0], empty.empty_display_size
     assert empty.location.x + (0.5 if turn % 180 == 0 else 0.375) * height < right
+
+
+@pytest.mark.parametrize("turn", [0, 90, 180, 270])
+def test_a_video_that_is_stored_mirrored_is_shown_so_beside_the_head(tmp_path, turn):
+    clip = turned_clip(tmp_path / "clip.mp4", turn, mirrored=True)
+    empty = add_reference(bpy.context.scene, clip, 0.0, add_head(bpy.context))
+    bpy.context.view_layer.update()
+    displayed = empty.matrix_world.to_3x3()
+    # Where Blender rotates an image, its upper side comes from another one of what is stored.
+    rotated = Matrix.Rotation(-radians(turn) if bpy.app.version >= (4, 4, 0) else 0.0, 3, "Z")
+    top, side = displayed @ rotated @ Vector((0, 1, 0)), displayed @ rotated @ Vector((1, 0, 0))
+    assert (top - Vector((-sin(radians(turn)), 0, -cos(radians(turn))))).length < 1e-5
+    assert (side - Vector((cos(radians(turn)), 0, -sin(radians(turn))))).length < 1e-5

@@ -53,6 +53,19 @@ def test_phone_videos_are_upright_in_any_orientation(tmp_path, turn, bright):
     assert max(parts, key=lambda side: parts[side].mean()) == bright
 
 
+@pytest.mark.parametrize(
+    ("turn", "bright", "grey"),
+    [(0, "bottom", "left"), (90, "left", "top"), (180, "top", "right"), (270, "right", "bottom")],
+)
+def test_videos_that_are_stored_mirrored_are_shown_as_players_show_them(tmp_path, turn, bright, grey):
+    with VideoSource(turned_clip(tmp_path / "clip.mp4", turn, mirrored=True)) as source:
+        image = next(iter(source)).image
+    assert source.turn == turn and source.mirrored
+    parts = {"top": image[:12], "bottom": image[-12:], "left": image[:, :12], "right": image[:, -12:]}
+    by_brightness = sorted(parts, key=lambda side: parts[side].mean(), reverse=True)
+    assert by_brightness[:2] == [bright, grey]
+
+
 @pytest.mark.parametrize("shown", [(96, 48), (64, 96), (64, 48)])
 def test_pixels_that_are_not_square_are_stretched_to_what_players_show(tmp_path, shown):
     image = np.zeros((48, 64, 3), np.uint8)

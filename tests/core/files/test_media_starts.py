@@ -1,4 +1,4 @@
-"""When images and sound of a file start, from its headers."""
+"""When images and sound of a file start, and whether images are mirrored, from its headers."""
 
 import struct
 import tempfile
@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from facemime.core.files.media_headers import SOUND, VIDEO, last_image, read_starts, sound_lead
+from facemime.core.files.media_headers import SOUND, VIDEO, is_mirrored, last_image, read_starts, sound_lead
 from tests.helpers.matroska import element
 
 
@@ -103,3 +103,59 @@ def test_damaged_files_raise_nothing(content, data):
         file.flush()
         sound_lead(Path(file.name))
         last_image(Path(file.name))
+
+
+def shown_by(name: bytes, version: int, a: int, d: int) -> bytes:
+    """A header of a movie or a track with a matrix that has `a` and `d` on its diagonal."""
+    before = {(b"mvhd", 0): 32, (b"tkhd", 0): 36, (b"mvhd", 1): 44, (b"tkhd", 1): 48}[name, version]
+    matrix = struct.pack(">9i", a << 16, 0, 0, 0, d << 16, 0, 0, 0, 1 << 30)
+    return box(name, bytes([version]), bytes(3 + before), matrix, bytes(24))
+
+
+@pytest.mark.parametrize("version", [0, 1])
+@pytest.mark.parametrize(
+    ("whole", "track", "mirrored"),
+    [
+        ((1, 1), (1, 1), False),
+        ((1, 1), (-1, -1), False),
+        ((1, 1), (-1, 1), True),
+        ((1, -1), (1, 1), True),
+        ((-1, 1), (1, -1), False),
+    ],
+)
+def test_the_matrices_of_the_movie_and_of_its_first_images_say_whether_they_are_mirrored(
+    tmp_path, version, whole, track, mirrored
+):
+    path = tmp_path / "a.mov"
+
+    def of_kind(handler: bytes, sides: tuple[int, int]) -> bytes:
+        media = box(b"mdia", box(b"hdlr", bytes(8) + handler, bytes(12)))
+        return box(b"trak", shown_by(b"tkhd", version, *sides), media)
+
+    header = shown_by(b"mvhd", version, *whole)
+    tracks = of_kind(b"soun", (1, -1)), of_kind(b"vide", track), of_kind(b"vide", (-track[0], track[1]))
+    path.write_bytes(box(b"ftyp", b"qt  ") + box(b"moov", header, *tracks))
+    assert is_mirrored(path) == mirrored
+    path.write_bytes(box(b"ftyp", b"qt  ") + box(b"moov", header, of_kind(b"soun", (-1, 1))))
+    assert not is_mirrored(path)
+
+
+@pytest.mark.parametrize("form", [">f", ">d"])
+@pytest.mark.parametrize(("yaw", "mirrored"), [(0.0, False), (180.0, True), (-180.0, True), (90.0, False)])
+def test_a_flat_picture_of_matroska_that_is_seen_from_behind_is_mirrored(tmp_path, form, yaw, mirrored):
+    path = tmp_path / "a.mkv"
+    pose = element(0x7670, element(0x7671, b"\0") + element(0x7673, struct.pack(form, yaw)))
+    track = element(0xAE, element(0xD7, b"\1") + element(0x83, b"\1") + element(0xE0, pose))
+    path.write_bytes(element(0x1A45DFA3, bytes(4)) + element(0x18538067, element(0x1654AE6B, track)))
+    assert is_mirrored(path) == mirrored
+    path.write_bytes(path.read_bytes()[:-3])
+    assert not is_mirrored(path)
+
+
+@given(st.binary(max_size=200))
+def test_damaged_headers_mirror_nothing(data):
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "a.mov"
+        for start in (box(b"ftyp", b"qt  "), b"\x1a\x45\xdf\xa3"):
+            path.write_bytes(start + data)
+            assert is_mirrored(path) in (True, False)
