@@ -53,6 +53,13 @@ def scene_of(obj: bpy.types.Object) -> bpy.types.Scene:
     raise HeadError("{name} is in no scene. Link it to a collection of a scene.", name=obj.name)
 
 
+def find_scene(uid: int) -> bpy.types.Scene | None:
+    """Return the scene with a `session_uid`, which it keeps when it is renamed or an undo reads it again; None if it
+    was deleted.
+    """
+    return next((scene for scene in bpy.data.scenes if scene.session_uid == uid), None)
+
+
 @contextmanager
 def showing_scene(scene: bpy.types.Scene) -> Iterator[None]:
     """Show a scene for a while, so that the context has it: its objects are evaluated and operators find them."""

@@ -4,6 +4,7 @@ import bpy
 from bpy.props import StringProperty
 
 from ..blender.animation.live import LiveHeadObject
+from ..blender.contexts import find_scene
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import CONTEXT
 from ..blender.stubs import OperatorResult
@@ -71,7 +72,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
     _session: LiveSession
     _rigs: RigWatch
     _timer: bpy.types.Timer | None = None
-    _scene = ""
+    _scene = 0
     _clicked = False
     _drag: PreviewDrag
     _display: FaceDisplay
@@ -92,7 +93,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
             report(self, warning, "WARNING")
         self._display = FaceDisplay(heads, bones=_hides_bones(context))
         self._rigs = RigWatch(self._session)
-        self._scene, self._drag = context.scene.name, PreviewDrag()
+        self._scene, self._drag = context.scene.session_uid, PreviewDrag()
         self._session.operator = self
         manager = context.window_manager
         self._timer = manager.event_timer_add(TICK, window=context.window)
@@ -132,7 +133,7 @@ class FACEMIME_OT_puppet(ReportsErrors, bpy.types.Operator):
         """Show the newest result and follow the settings."""
         session = self._session
         self._display.bones = _hides_bones(context)
-        if (scene := bpy.data.scenes.get(self._scene)) is not None:
+        if (scene := find_scene(self._scene)) is not None:
             follow_settings(session, scene)
         if (heads := tuple(session.heads)) != self._heads:  # an undo has replaced them
             self._heads, self._clicked = heads, True

@@ -73,12 +73,14 @@ class DelayedRecording:
     ----------
     at : float
         When it starts, seconds of `time.perf_counter`.
-    scene, name : str
+    scene : int
+        `session_uid` of the scene of `Recorder.start`.
+    name : str
         As in `Recorder.start`.
     """
 
     at: float
-    scene: str
+    scene: int
     name: str
 
     @property

@@ -36,6 +36,8 @@ class LandmarkEdit:
 
     Attributes
     ----------
+    scene : int
+        `session_uid` of the scene.
     editor : PinEditor
     area : int
         Address of the area in which they are edited.
@@ -49,7 +51,7 @@ class LandmarkEdit:
 
     def __init__(self, scene: bpy.types.Scene, line: FacemimeTake, area: int) -> None:
         take = takes_store.read(line, solved=False)
-        self.scene, self.path, self.area = scene.name, line.path, area
+        self.scene, self.path, self.area = scene.session_uid, line.path, area
         self.editor = PinEditor(take)
         self.held: int | None = None
         self.under: int | None = None
@@ -161,7 +163,7 @@ class LandmarkEdit:
         """Go to the frame that the scene shows, if that has changed, and return whether it has."""
         if self._finder is None:
             self._find_video(scene)
-        if scene.name != self.scene or scene.frame_current_final == self._at:
+        if scene.session_uid != self.scene or scene.frame_current_final == self._at:
             return False
         self._at = scene.frame_current_final
         self.editor.go_to(seconds_of(scene, take_start(scene)))

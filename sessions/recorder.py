@@ -9,7 +9,7 @@ from typing import Protocol
 import bpy
 import numpy as np
 
-from ..blender.contexts import in_a_window, push_undo
+from ..blender.contexts import find_scene, in_a_window, push_undo
 from ..blender.messages import show_error
 from ..blender.timeline import frames_of
 from ..core.errors import FacemimeError
@@ -52,7 +52,7 @@ class PunchIn:
             raise FacemimeError(
                 "The range from {start:.2f} s to {end:.2f} s is empty. Choose a later end.", start=start, end=end
             )
-        self._scene, self._take = scene.name, take
+        self._scene, self._take = scene.session_uid, take
         self._start, self._end, self._blend = start, end, blend
         self._recording: Recording | None = None
         self._sync_mode = scene.sync_mode
@@ -86,7 +86,7 @@ class PunchIn:
             raise FacemimeError(
                 "The puppet was stopped before the end of the range. The part that was recorded is in the list."
             )
-        scene = bpy.data.scenes.get(self._scene)
+        scene = find_scene(self._scene)
         if scene is None:
             raise FacemimeError("The scene of the take was deleted. Record the range in another scene.")
         if self._recording is None:
@@ -110,7 +110,7 @@ class PunchIn:
         )
 
     def _stop_playback(self) -> None:
-        if (scene := bpy.data.scenes.get(self._scene)) is not None:
+        if (scene := find_scene(self._scene)) is not None:
             scene.sync_mode = self._sync_mode
         for window in bpy.context.window_manager.windows:
             if window.screen.is_animation_playing:
@@ -136,8 +136,8 @@ class Recorder:
         self.delayed: DelayedRecording | None = None
         self.punch_in: PunchIn | None = None
         self._session, self._worker = session, worker
-        self._recorded: list[tuple[str, Path]] = []
-        self._listed: list[tuple[str, Path]] = []
+        self._recorded: list[tuple[int, Path]] = []
+        self._listed: list[tuple[int, Path]] = []
 
     @property
     def closed(self) -> bool:
@@ -164,7 +164,7 @@ class Recorder:
         """Start recording after a countdown in seconds, otherwise as `start`."""
         self._require_none()
         if countdown > 0.0:
-            self.delayed = DelayedRecording(perf_counter() + countdown, scene.name, name)
+            self.delayed = DelayedRecording(perf_counter() + countdown, scene.session_uid, name)
         else:
             self.start(scene, name)
 
@@ -201,8 +201,8 @@ class Recorder:
         if self.delayed is None or not self.delayed.due:
             return
         delayed, self.delayed = self.delayed, None
-        if delayed.scene in bpy.data.scenes and self.recording is None:
-            self.start(bpy.data.scenes[delayed.scene], delayed.name)
+        if (scene := find_scene(delayed.scene)) is not None and self.recording is None:
+            self.start(scene, delayed.name)
             signal()
 
     def attend(self) -> None:
@@ -215,12 +215,12 @@ class Recorder:
 
     def note_listed(self) -> None:
         """Note which recordings are in the list, before an undo."""
-        self._listed = [(name, path) for name, path in self._recorded if _lists(name, path)]
+        self._listed = [(uid, path) for uid, path in self._recorded if _lists(find_scene(uid), path)]
 
     def list_again(self) -> None:
         """List the recordings again that an undo has dropped: what was performed is not a step to undo."""
-        for name, path in self._listed:
-            if not _lists(name, path) and (scene := bpy.data.scenes.get(name)) is not None:
+        for uid, path in self._listed:
+            if (scene := find_scene(uid)) is not None and not _lists(scene, path):
                 add(scene, path)
 
     def _require_none(self) -> None:
@@ -248,7 +248,6 @@ class Recorder:
             push_undo("Re-Record Range")
 
 
-def _lists(name: str, path: Path) -> bool:
-    """Return whether the scene of that name has the take of a file in its list."""
-    scene = bpy.data.scenes.get(name)
+def _lists(scene: bpy.types.Scene | None, path: Path) -> bool:
+    """Return whether a scene has the take of a file in its list; False for None."""
     return scene is not None and is_listed(scene, path)

@@ -10,6 +10,7 @@ from typing import Any
 
 import bpy
 
+from ..blender.contexts import find_scene
 from ..core.errors import OutputError
 from ..core.puppet.reference_video import SUFFIX as VIDEO_SUFFIX
 from ..core.puppet.reference_video import ReferenceVideo
@@ -46,7 +47,7 @@ class Recording:
 
     def __init__(self, worker: LiveWorker, scene: bpy.types.Scene, name: str, heads: Sequence[str] = ()) -> None:
         self.path, self.closed = new_path(name), False
-        self._worker, self._scene, self._name, self._heads = worker, scene.name, name, tuple(heads)
+        self._worker, self._scene, self._name, self._heads = worker, scene.session_uid, name, tuple(heads)
         self._dropped = worker.counts.dropped
         self._offset: float | None = None
         self._video: ReferenceVideo | None = None
@@ -120,15 +121,16 @@ class Recording:
         """Whether frames can still be added."""
         return not self.closed and self._worker.recording_error is None
 
-    def add_to_list(self) -> list[tuple[str, Path]]:
-        """Add a recording that has ended to the list, and return the scene and the file of each take that was added.
+    def add_to_list(self) -> list[tuple[int, Path]]:
+        """Add a recording that has ended to the list.
 
-        Raises SourceError if the file cannot be read.
+        Returns the `session_uid` of the scene and the file of each take that was added. Raises SourceError if the file
+        cannot be read.
         """
         if not self.closed:
             with contextlib.suppress(OutputError):  # already reported by the session
                 self.close()
-        scene = bpy.data.scenes.get(self._scene)
+        scene = find_scene(self._scene)
         if scene is None:
             return []
         there = [part for part in reversed(self._parts()) if part.path.is_file()]
@@ -136,7 +138,7 @@ class Recording:
             there = [part for part in there if part.frames]
         for part in there:
             add(scene, beside(part.path))
-        return [(scene.name, part.path) for part in there]
+        return [(scene.session_uid, part.path) for part in there]
 
     def _parts(self) -> list[_Part]:
         return [self._main, *tuple(self._others.values())]

@@ -14,7 +14,7 @@ from ..blender.animation.live_mesh import clear_all_live
 from ..blender.animation.scene_range import fit_range, outside_range
 from ..blender.animation.taught import own_values
 from ..blender.animation.taught_poses import OwnPoses
-from ..blender.contexts import push_undo
+from ..blender.contexts import find_scene, push_undo
 from ..blender.controls.stored import controls_state
 from ..blender.heads.face_display import FaceDisplay
 from ..blender.messages import show_error
@@ -66,6 +66,8 @@ class TakeShow(Session):
 
     Attributes
     ----------
+    scene : int
+        `session_uid` of the scene.
     path : str
         Path of the take in the list.
     warnings : list of str
@@ -75,10 +77,10 @@ class TakeShow(Session):
         Driver of each head.
     frames : list of HeadFrame or None
         What each head shows.
-    before : dict of str to Values
-        Values of the shape keys of each head at the start, by its name.
-    posed : dict of str to OwnPoses
-        The controls of each head at the start, by its name.
+    before : dict of int to Values
+        Values of the shape keys of each head at the start, by its `session_uid`.
+    posed : dict of int to OwnPoses
+        The controls of each head at the start, by its `session_uid`.
     start : float
         Frame of the scene at which the take starts.
     """
@@ -90,8 +92,8 @@ class TakeShow(Session):
         self.path = path
         self._recorded, self._wanted = take, _Wanted.of(scene, objects)
         self.performance = Performance.of(take, self._wanted.puppet)
-        self.before = {obj.name: own_values(obj) for obj in objects}
-        self.posed = {obj.name: OwnPoses.of(obj, pose_targets(settings.posing, obj).values()) for obj in objects}
+        self.before = {obj.session_uid: own_values(obj) for obj in objects}
+        self.posed = {obj.session_uid: OwnPoses.of(obj, pose_targets(settings.posing, obj).values()) for obj in objects}
         self.frames: list[HeadFrame | None] = [None] * len(objects)
         keys = [keys_of(scene, obj) for obj in objects]
         follow = Follow(settings.rotation, settings.translation)
@@ -100,7 +102,7 @@ class TakeShow(Session):
             for obj, own in zip(objects, keys, strict=True)
         ]
         self.drivers = [self._driver(read_rig(obj), own, None) for obj, own in zip(objects, keys, strict=True)]
-        self.scene = scene.name
+        self.scene = scene.session_uid
         super().__init__()
         self.heads = heads
         self._display = FaceDisplay(objects, bones=settings.hide_bones and bpy.context.mode != "POSE")
@@ -155,7 +157,7 @@ class TakeShow(Session):
 
     def show(self, scene: bpy.types.Scene) -> None:
         """Display the frame of the take nearest to the current frame; raises HeadError as `LiveHeadObject.write`."""
-        if scene.name != self.scene:
+        if scene.session_uid != self.scene:
             return
         result = self.result(scene)
         require_one_left(self.heads)
@@ -174,7 +176,7 @@ class TakeShow(Session):
         """Display the take on the heads."""
         for shown in self.heads:
             shown.attach()
-        if (scene := bpy.data.scenes.get(self.scene)) is not None:
+        if (scene := find_scene(self.scene)) is not None:
             self.show(scene)
 
     def _restore(self, *, blocks: bool) -> None:
@@ -205,7 +207,7 @@ def follow_settings() -> float | None:
     session = TakeShow.running()
     if session is None:
         return None
-    scene = bpy.data.scenes.get(session.scene)
+    scene = find_scene(session.scene)
     try:
         session.rest_copies()
         if scene is not None and session.follow(scene):

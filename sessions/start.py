@@ -10,6 +10,7 @@ import bpy
 from ..blender.animation.live import Follow, LiveHeadObject
 from ..blender.animation.live_controls import CONTROLS
 from ..blender.animation.live_keys import KEYS, SKIN, live_keys, names_of
+from ..blender.contexts import find_scene
 from ..blender.controls.stored import controls_state, read_controls, used_controls
 from ..blender.rigs import read_rig, rig_checks
 from ..blender.styles import read_style, style_state
@@ -63,10 +64,10 @@ def start_session(scene: bpy.types.Scene, objects: Sequence[bpy.types.Object]) -
     heads = [
         (head, LiveHead(read_rig(head.obj), options, head.prepare, own)) for head, own in zip(shown, keys, strict=True)
     ]
-    name = scene.name
+    uid = scene.session_uid
 
     def keep_calibration(neutral: Neutral) -> None:
-        current = bpy.data.scenes.get(name)
+        current = find_scene(uid)
         if current is not None and tracked and not neutral.measured:
             write_calibration(current.facemime, neutral)
 

@@ -58,7 +58,7 @@ def teach(show: TakeShow, scene: bpy.types.Scene, number: int) -> list[str]:
     example = _example(show, scene, number, frame)
     stored = read_style(shown.obj)
     write_example(shown.obj, example, same_expression(stored, example.expression))
-    left = reset_keys(shown.obj, shown.keys, show.before.get(shown.obj.name, {}))
+    left = reset_keys(shown.obj, shown.keys, show.before.get(shown.obj.session_uid, {}))
     show.follow(scene)
     return left
 
@@ -81,12 +81,12 @@ def _example(show: TakeShow, scene: bpy.types.Scene, number: int, frame: HeadFra
     if shown.controls is not None:
         changes, vertices = _controls(show, shown, frame)
         return replace(example, controls=changes, thumbnail=thumbnail(posed.rig, vertices))
-    wanted = edited_shape(shown.obj, frame, show.before.get(shown.obj.name, {}))
-    if (own := show.posed.get(shown.obj.name)) is not None:
+    wanted = edited_shape(shown.obj, frame, show.before.get(shown.obj.session_uid, {}))
+    if (own := show.posed.get(shown.obj.session_uid)) is not None:
         wanted = own.added(wanted, posed.rig.eye_distance)
     if not posed.edited(frame, wanted).any():
         raise _unchanged(shown.obj)
-    old, new = edited_keys(shown.obj, {}, show.before.get(shown.obj.name, {}))
+    old, new = edited_keys(shown.obj, {}, show.before.get(shown.obj.session_uid, {}))
     before = TaughtKeys(posed.rig.style).changes(expression)
     every = {**dict.fromkeys(before, 0.0), **old}
     return replace(
@@ -103,7 +103,7 @@ def _keys(
     """Return the changes of keys to teach, and the vertices with them."""
     names = names_of(driver.keys)
     values = dict(zip(names, frame.keys.tolist(), strict=True))
-    old, new = edited_keys(shown.obj, values, show.before.get(shown.obj.name, {}))
+    old, new = edited_keys(shown.obj, values, show.before.get(shown.obj.session_uid, {}))
     if not new:
         raise _unchanged(shown.obj)
     every = {**values, **old}
@@ -115,7 +115,7 @@ def _keys(
 
 def _require_unposed(show: TakeShow, head: bpy.types.Object) -> None:
     """Raise HeadError if controls of a head that its keys drive were posed."""
-    own = show.posed.get(head.name)
+    own = show.posed.get(head.session_uid)
     if own is not None and (names := own.changed()):
         raise HeadError(
             "{name} is driven by its shape keys, so that {names} cannot be taught. Change shape keys instead, or "
@@ -128,7 +128,7 @@ def _require_unposed(show: TakeShow, head: bpy.types.Object) -> None:
 def _controls(show: TakeShow, shown: LiveHeadObject, frame: HeadFrame) -> tuple[dict[str, float], NDArray[np.float32]]:
     """Return the changes of controls to teach, and the vertices with them."""
     used = () if shown.controls is None else shown.controls.channels
-    own = show.posed.get(shown.obj.name)
+    own = show.posed.get(shown.obj.session_uid)
     if own is not None and (others := own.changed(but=used)):
         raise HeadError(
             "{names} do not show the take, and cannot be taught. Enable them in Head > Controls, or put them back.",

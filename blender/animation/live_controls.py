@@ -61,8 +61,7 @@ class LiveControls:
     @property
     def owners(self) -> list[bpy.types.Object]:
         """The objects that have the controls, as far as they exist."""
-        names = dict.fromkeys(channel.owner for channel in self.found.channels)
-        return [bpy.data.objects[name] for name in names if name in bpy.data.objects]
+        return self._values.owners
 
     def paths(self, owner: bpy.types.ID) -> list[str]:
         """Return the data paths of the controls of an object."""

@@ -21,13 +21,13 @@ from .live_mesh import LIVE_KEY
 
 _EDITED = 1e-5
 """Smallest change of a shape key's value that counts."""
-Values = Mapping[tuple[str, str], float]
-"""Values of shape keys by the name of the object and of the key."""
+Values = Mapping[tuple[int, str], float]
+"""Values of shape keys by the `session_uid` of the object and the name of the key."""
 
 
 def own_values(head: bpy.types.Object) -> Values:
     """Return the values of the user's shape keys of a head that its animation does not change."""
-    return {(obj.name, block.name): block.value for obj, block in _still_blocks(members_of(head))}
+    return {(obj.session_uid, block.name): block.value for obj, block in _still_blocks(members_of(head))}
 
 
 def edited_shape(head: bpy.types.Object, frame: HeadFrame, before: Values) -> NDArray[np.float32]:
@@ -57,7 +57,7 @@ def edited_keys(
     """
     old, new = {}, {}
     for obj, block in _still_blocks(members_of(head)):
-        start = shown.get(block.name, before.get((obj.name, block.name), 0.0))
+        start = shown.get(block.name, before.get((obj.session_uid, block.name), 0.0))
         if block.name not in old and abs(block.value - start) > _EDITED:
             old[block.name], new[block.name] = start, block.value
     return old, new
@@ -74,7 +74,7 @@ def reset_keys(head: bpy.types.Object, driven: Sequence[str], before: Values) ->
         if block.name not in driven and _change(obj, block, before)
     ]
     for obj, name in changed:
-        keys_of(obj).key_blocks[name].value = before.get((obj.name, name), 0.0)
+        keys_of(obj).key_blocks[name].value = before.get((obj.session_uid, name), 0.0)
     bpy.context.view_layer.update()
     return list(dict.fromkeys(name for obj, name in changed if _change(obj, keys_of(obj).key_blocks[name], before)))
 
@@ -92,5 +92,5 @@ def _still_blocks(members: Sequence[Member]) -> Iterator[tuple[bpy.types.Object,
 
 
 def _change(obj: bpy.types.Object, block: bpy.types.ShapeKey, before: Values) -> float:
-    change = block.value - before.get((obj.name, block.name), 0.0)
+    change = block.value - before.get((obj.session_uid, block.name), 0.0)
     return change if abs(change) > _EDITED else 0.0

@@ -27,7 +27,7 @@ class OwnPoses:
     """The channels of the rig of a head that nothing animates, with the values that they had at the start."""
 
     def __init__(self, head: bpy.types.Object, channels: Sequence[RigChannel]) -> None:
-        self._head = head.name
+        self._head, self._name = head.session_uid, head.name
         self._values = ControlValues(channels)
         self._before = self._values.read()
         self._least = _EDITED * np.array([channel.unit for channel in channels])
@@ -58,7 +58,7 @@ class OwnPoses:
         """
         if not (names := self.changed()):
             return shape
-        head = bpy.data.objects[self._head]
+        head = next(obj for obj in bpy.data.objects if obj.session_uid == self._head)
         pose, posed = self._values.read(), seen_vertices(head)
         self._values.restore()
         without = seen_vertices(head)
@@ -72,7 +72,7 @@ class OwnPoses:
         raise HeadError(
             "Modifiers of {name} change the shape that the take shows, so that the pose of {names} cannot be taught. "
             "Disable these modifiers in the viewport, or use Learn Controls and choose Controls as Driven By.",
-            name=self._head,
+            name=self._name,
             names=", ".join(names),
         )
 

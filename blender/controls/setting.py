@@ -48,6 +48,12 @@ class ControlValues:
                 _write(group, self._own[group], self._axes[numbers], (self._at_rest + values)[numbers])
         self._written = np.array(values, dtype=np.float64)
 
+    @property
+    def owners(self) -> list[bpy.types.Object]:
+        """The objects that have the channels, as far as they exist; they may have been renamed."""
+        there = {obj.session_uid: obj for obj in bpy.data.objects}
+        return [there[uid] for uid in self._uids.values() if uid in there]
+
     def forget(self) -> None:
         """Set all channels the next time, as the user may have changed some."""
         self._written[:] = np.nan

@@ -10,6 +10,7 @@ from facemime.blender.controls.display import drawn_arrows
 from facemime.blender.controls.probing import learn_controls
 from facemime.blender.controls.stored import error_curve, read_controls, write_controls
 from facemime.blender.heads.new_heads import add_head
+from facemime.blender.names import CONTROLS_PROPERTY
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.file import save_take
@@ -63,6 +64,16 @@ def test_a_control_that_is_switched_off_stops_at_once_while_live(rigged, tmp_pat
     assert state(armature)["c12"] == before["c12"]
     session.close()
     assert state(armature)["c5"] == before["c5"]
+
+
+def test_a_rig_that_is_renamed_during_a_preview_returns_to_rest(rigged):
+    head, armature = rigged
+    before, shown = state(armature), show(head)
+    bpy.context.scene.frame_set(40)
+    assert state(armature) != before
+    armature.name = "Renamed"
+    shown.close()
+    assert state(armature) == before and CONTROLS_PROPERTY not in armature
 
 
 def test_few_controls_are_those_that_help_most(rigged):

@@ -42,6 +42,7 @@ def test_a_recording_starts_after_the_countdown_with_a_beep(puppet_running, beep
     session = running()
     assert bpy.ops.facemime.record_take() == {"FINISHED"}
     assert session.recorder.recording is None and 0.0 < session.countdown <= 3.0 and "recording starts" in session.task
+    bpy.context.scene.name = "Renamed"
     session.recorder.delayed = replace(session.recorder.delayed, at=time.perf_counter() - 1.0)
     ticks_until(lambda: session.recorder.recording is not None and session.recorder.recording.frames > 2)
     assert session.countdown is None and len(beeps) == 1

@@ -88,6 +88,13 @@ def _lids(head):
     return float(points[37, 2] - points[41, 2])
 
 
+def test_the_editor_follows_the_frames_of_its_scene_when_that_is_renamed(edit):
+    scene, before = bpy.context.scene, edit.editor.frame
+    scene.name = "Renamed"
+    scene.frame_set(40)
+    assert edit.follow_scene(scene) and edit.editor.frame != before
+
+
 def test_undo_restores_the_pins_in_the_file_and_redo_sets_them_again(edit, line):
     scene = bpy.context.scene
     bpy.ops.ed.undo_push(message="before")

@@ -40,6 +40,17 @@ def test_renaming_the_head_or_changing_the_active_object_has_no_effect(looping):
     assert cube.data.shape_keys is None and LIVE_KEY in head.data.shape_keys.key_blocks
 
 
+def test_a_running_puppet_follows_the_settings_of_its_scene_when_that_is_renamed(looping):
+    add_head(bpy.context)
+    start()
+    scene = bpy.context.scene
+    bpy.data.scenes.new("Other")
+    scene.name, bpy.data.scenes["Other"].name = "Renamed", scene.name
+    scene.facemime.smoothing = 3.0
+    some_frames()
+    assert running().worker.options.smoothing == 3.0
+
+
 def test_a_head_pauses_in_edit_mode_and_a_changed_mesh_is_reported(looping):
     head = add_head(bpy.context)
     start()

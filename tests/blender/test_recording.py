@@ -90,6 +90,19 @@ def test_undoing_during_a_recording_keeps_it_and_the_take_before(session, takes)
     assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["First", "Second"]
 
 
+def test_a_recording_is_listed_in_its_scene_when_that_is_renamed(session, takes):
+    assert bpy.ops.facemime.record_take(name="First") == {"FINISHED"}
+    wait_for(lambda: session.recorder.recording.frames > 3)
+    scene = bpy.context.scene
+    bpy.ops.ed.undo_push(message="before")
+    before, scene.name = scene.name, "Renamed"
+    bpy.data.scenes.new(before)
+    assert bpy.ops.facemime.record_take() == {"FINISHED"}
+    assert [line.name for line in scene.facemime_takes.items] == ["First"]
+    assert bpy.ops.ed.undo() == {"FINISHED"}
+    assert [line.name for line in bpy.context.scene.facemime_takes.items] == ["First"]
+
+
 def test_undoing_the_start_of_the_puppet_while_recording_lists_the_take(session, takes):
     session.close()
     bpy.ops.ed.undo_push(message="before")
@@ -186,6 +199,14 @@ def test_a_range_is_re_recorded_and_the_rest_of_the_take_is_kept(session, import
     part, new_part = (take.landmarks[(take.times > 0.55) & (take.times < 1.05)] for take in (before, after))
     assert len(new_part) > 0 and not np.array_equal(part, new_part)
     assert session.recorder.recording is None and bpy.context.scene.sync_mode == "NONE"
+
+
+def test_a_range_is_re_recorded_in_a_scene_that_is_renamed_meanwhile(session, imported, takes):
+    wait_for(lambda: session.worker.counts.tracked > 5)
+    assert bpy.ops.facemime.rerecord_take(start=11, end=31, lead=0.05, blend=0.1) == {"FINISHED"}
+    bpy.context.scene.name = "Renamed"
+    wait_for(lambda: attend() or running().recorder.punch_in is None)
+    assert takes_store.read(imported).info["punched_in"] == [[pytest.approx(0.4), pytest.approx(1.2)]]
 
 
 def test_an_interrupted_re_recording_keeps_the_take_and_lists_the_recorded_part(session, imported, takes):

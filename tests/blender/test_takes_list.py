@@ -69,6 +69,21 @@ def test_a_shown_take_follows_the_settings_and_the_keys_that_drive_the_head(impo
     assert not any(key.value for key in head.data.shape_keys.key_blocks[1:])
 
 
+def test_a_shown_take_follows_its_scene_when_that_is_renamed(imported):
+    head = add_head(bpy.context)
+    assert bpy.ops.facemime.show_take() == {"FINISHED"}
+    scene = bpy.context.scene
+    scene.name = "Renamed"
+    scene.frame_set(5)
+    first = shown(head)
+    scene.frame_set(42)
+    assert np.abs(shown(head) - first).max() > 1e-3
+    scene.facemime.strength_lower = 0.0
+    follow_settings()
+    assert np.abs(shown(head) - first).max() < 1e-2
+    assert bpy.ops.facemime.show_take() == {"FINISHED"}
+
+
 def test_a_shown_take_is_not_saved_with_the_file_and_continues_afterwards(imported, tmp_path):
     head = add_head(bpy.context)
     bpy.ops.facemime.show_take()

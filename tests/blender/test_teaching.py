@@ -109,10 +109,12 @@ def test_an_unchanged_frame_and_a_face_at_rest_are_refused_with_what_to_do(impor
     assert not len(head.facemime_style.examples)
 
 
-def test_values_that_keys_had_before_the_preview_are_not_taught(imported):
+@pytest.mark.parametrize("name", ["Facemime Head", "Renamed"])
+def test_values_that_keys_had_before_the_preview_are_not_taught(imported, name):
     head = add_head(bpy.context, units=True)
     slider(head, "cheekPuff").value = 0.3
     bpy.ops.facemime.show_take()
+    head.name = name
     bpy.context.scene.frame_set(EXPRESSION)
     slider(head, "mouthSmileLeft").value, slider(head, "cheekPuff").value = 0.5, 0.5
     wanted = shown(head)

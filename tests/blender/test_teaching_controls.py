@@ -164,6 +164,7 @@ def test_a_bone_posed_over_a_take_on_the_skin_is_taught_as_its_motion_of_the_ski
     head, armature = rigged
     session = show(head, "SKIN")
     before = seen_vertices(head)
+    head.name = "Renamed"
     armature.pose.bones["c12"].location[2] += 0.006
     bpy.context.view_layer.update()
     wanted = seen_vertices(head)
