@@ -22,6 +22,8 @@ ROTATIONS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_a
 """Channels by rotation mode; all other modes are orders of Euler angles."""
 _LIVE = "live"
 """Mark of a pose that a session sets, rather than a bake."""
+_DELTAS = "deltas"
+"""Values of an object's delta rotations before a session, which poses another one if the user changes the mode."""
 _SAME = 1e-5
 """Largest difference between two values of a channel that are equal: Blender stores single precision."""
 
@@ -80,7 +82,13 @@ def begin_live(owner: Posable) -> None:
     """End what an earlier session left, and remember the user's own pose until the session that begins has ended."""
     release_own(owner)
     hold_own(owner, animated=isinstance(owner, bpy.types.Object))
-    owner[OWN_POSE_PROPERTY] = {**(_stored(owner) or {}), _LIVE: True}
+    stored = {**(_stored(owner) or {}), _LIVE: True}
+    if isinstance(owner, bpy.types.Object):
+        stored[_DELTAS] = {
+            "rotation_euler": owner.delta_rotation_euler[:],
+            "rotation_quaternion": owner.delta_rotation_quaternion[:],
+        }
+    owner[OWN_POSE_PROPERTY] = stored
 
 
 def move_own(owner: Posable, values: Mapping[tuple[str, int], float]) -> None:
@@ -112,6 +120,7 @@ def release_live(but: Collection[bpy.types.ID] = ()) -> None:
 def keep_pose(owner: Posable) -> None:
     """Note that a session leaves its pose, to which the next one is not added unless the user changes it."""
     if (stored := _stored(owner)) is not None:
+        _restore_hidden(owner, stored)
         stored.pop(_LIVE, None)
         owner[OWN_POSE_PROPERTY] = {**stored, "kept": [*_channels(owner)["location"], *_channels(owner)["rotation"]]}
 
@@ -123,6 +132,7 @@ def release_own(owner: Posable) -> None:
         return
     if not _was_changed(owner, stored):
         _write(owner, stored)
+    _restore_hidden(owner, stored)
     if _is_baked(owner):
         stored.pop(_LIVE, None)
         owner[OWN_POSE_PROPERTY] = stored
@@ -132,6 +142,14 @@ def release_own(owner: Posable) -> None:
         values = tuple(owner.rotation_axis_angle)  # a change of the mode converts them
         owner.rotation_mode = mode
         owner.rotation_axis_angle, owner.rotation_quaternion = values, stored["quaternion"]
+
+
+def _restore_hidden(owner: Posable, stored: dict[str, Any]) -> None:
+    """Restore the delta rotations of an object that its mode hides, which a session has posed in an earlier mode."""
+    deltas = stored.pop(_DELTAS, {})
+    for channel in ("rotation_euler", "rotation_quaternion"):
+        if channel in deltas and channel != rotation_channel(owner):
+            setattr(owner, f"delta_{channel}", deltas[channel])
 
 
 def _write(owner: Posable, stored: dict[str, Any]) -> None:

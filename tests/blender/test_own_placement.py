@@ -345,3 +345,24 @@ def test_a_delta_location_stays_beside_an_animated_delta_rotation():
     remove_baked(head, own_targets(head))
     scene.frame_set(40)
     np.testing.assert_allclose(world(head), before, atol=1e-5)
+
+
+@pytest.mark.parametrize("keep", [False, True])
+@pytest.mark.parametrize("modes", [("XYZ", "QUATERNION"), ("QUATERNION", "XYZ"), ("XYZ", "QUATERNION", "XYZ")])
+def test_a_rotation_mode_that_was_changed_during_a_session_leaves_no_pose_in_the_hidden_channels(modes, keep):
+    head = placed_head(modes[0])
+    before = values_of(head, DELTAS[1:3])
+    shown = LiveHeadObject(head, own_targets(head))
+    take = performance()
+    driver = HeadDriver(read_rig(head), calibrate(take))
+    shown.attach()
+    for mode in modes:
+        head.rotation_mode = mode
+        shown.write(driver.frame(take.result(42)))
+    shown.detach(keep=keep)
+    hidden = DELTAS[2] if modes[-1] == "XYZ" else DELTAS[1]
+    np.testing.assert_allclose(getattr(head, hidden), before[DELTAS.index(hidden) - 1], atol=1e-6)
+    if not keep:
+        turn = Quaternion(before[1]).normalized() if modes[0] == "QUATERNION" else Euler(before[0]).to_quaternion()
+        now = head.delta_rotation_quaternion if modes[-1] == "QUATERNION" else head.delta_rotation_euler.to_quaternion()
+        assert now.normalized().rotation_difference(turn).angle < 1e-3
