@@ -8,6 +8,7 @@ from .blender import head_properties, messages
 from .blender.heads import face_display
 from .blender.registering import register_module, unregister_module
 from .cli import entry
+from .core.errors import Message
 from .operators import (
     attached_parts,
     bake,
@@ -96,7 +97,19 @@ _MODULES = (
 
 
 def register() -> None:
-    """Register every module; if one fails, unregister those before it."""
+    """Register every module; if one fails, unregister those before it.
+
+    Raises RuntimeError if a copy from another repository is enabled: Blender would replace its classes by these, one by
+    one, and could then disable neither copy.
+    """
+    if (other := _other_copy()) is not None:
+        raise RuntimeError(
+            Message(
+                "Another copy of Facemime is enabled: {package}. Disable that one under Preferences > Add-ons, and "
+                "enable this one again.",
+                package=other,
+            )
+        )
     done = []
     try:
         for module in _MODULES:
@@ -109,6 +122,14 @@ def register() -> None:
     # As a module of Python, Blender crashes at exit if a class is still registered.
     if getattr(bpy.app, "module", False):
         atexit.register(unregister)
+
+
+def _other_copy() -> str | None:
+    """Return the package of another copy of Facemime whose classes are registered; None if there is none."""
+    operator = getattr(bpy.types, puppet.FACEMIME_OT_puppet.__name__, None)
+    module = str(getattr(operator, "__module__", ""))
+    package = module.removesuffix(puppet.__name__.removeprefix(__package__))
+    return package if package not in ("", module, __package__) else None
 
 
 def unregister() -> None:

@@ -1,5 +1,6 @@
 """Operators do the same as the functions behind them, and report errors."""
 
+import importlib
 import subprocess
 import sys
 from inspect import get_annotations
@@ -24,6 +25,7 @@ from facemime.sessions.session import Session
 from facemime.sessions.tracking import TrackingSession
 from facemime.settings.values import SAMPLE as SHIPPED
 from facemime.settings.values import whole_file
+from tests.helpers.blenders import ROOT
 from tests.helpers.takes import performance
 
 SAMPLE = Path(facemime.__file__).parent / "assets" / "sample" / "sample.mp4"
@@ -44,6 +46,25 @@ def test_registering_unregistering_and_registering_again_works():
     assert not hasattr(bpy.types.Scene, "facemime")
     facemime.register()
     assert bpy.context.scene.facemime.rotation
+
+
+def test_a_second_copy_of_the_extension_is_refused_and_leaves_the_first_one_working(tmp_path, monkeypatch):
+    (tmp_path / "facemime_again").symlink_to(ROOT, target_is_directory=True)
+    monkeypatch.syspath_prepend(tmp_path)
+    again = importlib.import_module("facemime_again")
+    with pytest.raises(RuntimeError, match=r"Another copy of Facemime is enabled: facemime\. Disable that one"):
+        again.register()
+    assert bpy.ops.facemime.add_head() == {"FINISHED"}
+    facemime.unregister()
+    try:
+        again.register()
+        with pytest.raises(RuntimeError, match="enabled: facemime_again"):
+            facemime.register()
+        again.unregister()
+    finally:
+        facemime.register()
+        for name in [name for name in sys.modules if name.split(".")[0] == "facemime_again"]:
+            del sys.modules[name]
 
 
 @pytest.mark.thorough
