@@ -27,7 +27,7 @@ import bpy
 from ..blender.messages import show_error
 from ..core.errors import Message, OutputError
 from ..core.files.reading import as_object, as_text, parse_format, read_text
-from ..core.files.writing import reason_of, replacing
+from ..core.files.writing import check_writable, reason_of, replacing
 from .preferences import EXTENSION, preferences
 
 TAKES, CACHES, PRESETS = "takes", "caches", "presets"
@@ -84,8 +84,19 @@ def user_folder(name: str) -> Path:
 
 
 def project_folder(name: str) -> Path:
-    """Return the folder `name` next to the open .blend file, or the user's folder if it has not been saved."""
-    return Path(bpy.path.abspath(f"//{name}")) if bpy.data.filepath else user_folder(name)
+    """Return the folder `name` next to the open .blend file, or the default folder if that file has not been saved, or
+    nothing can be written there, as next to a file of a read-only library.
+    """
+    beside_file = Path(bpy.path.abspath(f"//{name}"))
+    return beside_file if bpy.data.filepath and _is_writable(beside_file) else default_folder(name)
+
+
+def _is_writable(folder: Path) -> bool:
+    try:
+        check_writable(folder / "new")
+    except OutputError:
+        return False
+    return True
 
 
 def relative(path: Path, blend: str = "") -> str:
@@ -124,9 +135,9 @@ def located(path: str) -> Path:
 def beside(path: Path) -> Path:
     """Move a take that was begun before the first save, with its video, beside the .blend file; return its new path.
 
-    One that is elsewhere, or the take of a file that has not been saved, stays where it is.
+    One that is elsewhere, or the take of a file that has not been saved or is in a read-only folder, stays where it is.
     """
-    moved = _copied({path}, Path(bpy.data.filepath)) if bpy.data.filepath else {}
+    moved = _copied({path}, Path(bpy.data.filepath)) if project_folder(TAKES) != default_folder(TAKES) else {}
     for old in moved:
         with suppress(OSError):  # the copy is what counts
             old.unlink()
@@ -134,7 +145,7 @@ def beside(path: Path) -> Path:
 
 
 def default_folder(name: str) -> Path:
-    """Return the folder for takes or caches of a .blend file that has not been saved."""
+    """Return the folder for takes or caches for which there is no place next to the .blend file."""
     preferred = preferences().takes_folder if name == TAKES else ""
     return Path(bpy.path.abspath(preferred)) if preferred else user_folder(name)
 

@@ -34,7 +34,7 @@ class MisnamedError(SourceError):
 
 def folder() -> Path:
     """Return the folder for new takes: `takes` next to a saved .blend file, otherwise that of the preferences."""
-    return project_folder(TAKES) if bpy.data.filepath else default_folder(TAKES)
+    return project_folder(TAKES)
 
 
 def chosen(scene: bpy.types.Scene) -> FacemimeTake:
@@ -213,9 +213,14 @@ def _listed(scene: bpy.types.Scene) -> set[str]:
 
 
 def unlisted(scene: bpy.types.Scene) -> list[Path]:
-    """Return the takes in the folder that are not in the list, such as removed ones."""
-    known = _listed(scene)
-    return sorted(path for path in folder().glob(f"[!.]*{SUFFIX}") if os.path.realpath(path) not in known)
+    """Return the takes in the folder that are not in the list, such as removed ones; also those beside a .blend file
+    whose folder has become read-only.
+    """
+    known, folders = _listed(scene), {folder()}
+    if bpy.data.filepath:
+        folders.add(Path(bpy.path.abspath(f"//{TAKES}")))
+    takes = (path for place in folders for path in place.glob(f"[!.]*{SUFFIX}"))
+    return sorted(path for path in takes if os.path.realpath(path) not in known)
 
 
 def _length(take: Take) -> float:

@@ -149,6 +149,26 @@ def test_a_take_that_was_being_recorded_at_the_first_save_moves_when_it_ends(hom
     assert storage.beside(home / "elsewhere.facetake") == home / "elsewhere.facetake"
 
 
+def test_takes_and_caches_beside_which_nothing_can_be_written_are_in_the_default_folder(home, project, capfd):
+    scene, head = bpy.context.scene, add_head(bpy.context)
+    save(project / "shot.blend")
+    for name in ("takes", "caches"):
+        (project / name).write_text("not a folder, so nothing can be written in it, not even by root")
+    line, before = keep(), files(project)
+    assert Path(bpy.path.abspath(line.path)).resolve() == (home / "Documents/Facemime/takes/Take.facetake").resolve()
+    assert storage.beside(storage.user_folder("takes") / "Take.facetake").is_relative_to(storage.user_folder("takes"))
+    scene.facemime_takes.bake.keys = "cache"
+    assert bpy.ops.facemime.bake_take() == {"FINISHED"}
+    assert files(storage.user_folder("caches")) and files(project) == before
+    cache = next(modifier for modifier in head.modifiers if modifier.type == "MESH_CACHE")
+    assert Path(bpy.path.abspath(cache.filepath)).is_file()
+    scene.facemime_takes.items.clear()
+    assert bpy.ops.facemime.find_takes() == {"FINISHED"} and len(scene.facemime_takes.items) == 1
+    assert "cannot be" not in capfd.readouterr().err
+    (project / "takes").unlink()
+    assert takes_store.folder() == project / "takes"
+
+
 def test_takes_imported_from_elsewhere_stay_there(home, project):
     save_take(performance(), home / "other.facetake")
     assert bpy.ops.facemime.import_take(filepath=str(home / "other.facetake")) == {"FINISHED"}

@@ -23,6 +23,7 @@ from facemime.core.takes.file import load_take, save_take
 from facemime.operators.puppet_video import FACEMIME_OT_puppet_video
 from facemime.sessions.session import Session
 from facemime.sessions.tracking import TrackingSession
+from facemime.settings import storage
 from facemime.settings.values import SAMPLE as SHIPPED
 from facemime.settings.values import whole_file
 from tests.helpers.blenders import ROOT
@@ -239,6 +240,7 @@ def test_tracking_and_baking_a_video_leaves_a_take(tmp_path, monkeypatch):
 def test_a_take_that_cannot_be_written_is_baked_nevertheless(tmp_path, monkeypatch):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "project.blend"))
     (tmp_path / "takes").write_text("a file where the folder should be")
+    monkeypatch.setattr(storage, "default_folder", lambda name: tmp_path / name)
     head = add_head(bpy.context)
     monkeypatch.setattr(TrackingSession, "take", lambda session: performance())
     bpy.ops.facemime.puppet_video(filepath=str(SAMPLE))

@@ -17,7 +17,7 @@ from facemime.core.takes.neutral import calibrate
 from facemime.operators.puppet import running
 from facemime.sessions.session import Session
 from facemime.sessions.start import start_session
-from facemime.settings import takes_store
+from facemime.settings import storage, takes_store
 from tests.helpers.live_ticks import attend, wait_for
 from tests.helpers.takes import performance
 from tests.helpers.thorough import first_of
@@ -147,8 +147,9 @@ def test_takes_are_found_beside_unreadable_files(takes, tmp_path):
     assert [line.name for line in takes.items] == ["Good", "Zoe"]
 
 
-def test_a_recording_that_cannot_start_leaves_no_thread(session, takes, tmp_path):
+def test_a_recording_that_cannot_start_leaves_no_thread(session, takes, tmp_path, monkeypatch):
     takes.video = True
+    monkeypatch.setattr(storage, "default_folder", lambda name: tmp_path / name)
     (tmp_path / "takes").write_text("not a folder")
     before = threading.active_count()
     with pytest.raises(RuntimeError, match="Cannot write"):
