@@ -25,6 +25,7 @@ from ..core.errors import DataError, SourceError
 from ..core.files.assets import version
 from ..core.files.capture import check_readable, require_utf8_name, unreadable_folder
 from ..core.files.reading import as_integer, as_list, as_number, as_object, parse_json, read_text, shown
+from ..core.files.suffixes import VIDEO_SUFFIXES
 from ..core.files.writing import reason_of, replacing
 from ..core.puppet.job import PuppetJob
 from ..core.takes.take import Take
@@ -77,7 +78,6 @@ CHECKSUMS = ".checksums"
 _CHECKSUM = re.compile("[0-9a-f]{64}")
 _SETTLED = 2.0
 """Age of a file in seconds from which its time tells whether it has changed; FAT counts in steps of two seconds."""
-_VIDEO_SUFFIXES = frozenset({".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v"})
 _OUTPUTS = frozenset({".blend", ".facetake", ".png", ".pc2", ".abc"})
 _MAX_LIST = 1 << 26
 """Longest list in characters; longer files are videos with an unusual suffix."""
@@ -112,15 +112,15 @@ def find_clips(sources: Sequence[Path]) -> list[Path]:
     for source in sources:
         if os.path.isdir(source):
             found = _videos_in(source)
-        elif not check_readable(source) and source.suffix.lower() not in _VIDEO_SUFFIXES:
+        elif not check_readable(source) and source.suffix.lower() not in VIDEO_SUFFIXES:
             raise _no_list(source)
         else:
-            found = [source] if source.suffix.lower() in _VIDEO_SUFFIXES else _listed(source)
+            found = [source] if source.suffix.lower() in VIDEO_SUFFIXES else _listed(source)
         if not found:
             raise SourceError(
                 "There is no video in {source}. Use files with {suffixes}.",
                 source=source,
-                suffixes=", ".join(sorted(_VIDEO_SUFFIXES)),
+                suffixes=", ".join(sorted(VIDEO_SUFFIXES)),
             )
         clips += found
     return clips
@@ -130,7 +130,7 @@ def _videos_in(folder: Path) -> list[Path]:
     files = (path for path in folder.rglob("*") if not path.name.startswith(".") and os.path.isfile(path))
     try:
         os.listdir(folder)  # `rglob` ignores a folder that is not readable
-        return sorted(path for path in files if path.suffix.lower() in _VIDEO_SUFFIXES)
+        return sorted(path for path in files if path.suffix.lower() in VIDEO_SUFFIXES)
     except OSError as error:
         raise unreadable_folder(folder, error) from error
 

@@ -34,7 +34,8 @@ from ..core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
 from ..core.control_points.selection import GreedySelection, from_json
 from ..core.drive.driver import select_distinct_frames
 from ..core.errors import OutputError, SourceError
-from ..core.files.capture import Frame, VideoSource, at_constant_rate, check_readable, write_image
+from ..core.files.capture import VideoSource, check_readable, write_image
+from ..core.files.frames import Frame, at_constant_rate
 from ..core.files.reading import read_text
 from ..core.heads.key_map import load_map
 from ..core.heads.key_presets import ESSENTIAL

@@ -16,6 +16,7 @@ from ..blender.timeline import frames_of, rate_of
 from ..core.bake.arkit import arkit_coefficients
 from ..core.errors import FacemimeError, HeadError, SourceError
 from ..core.files.media_headers import sound_lead
+from ..core.files.suffixes import VIDEO_SUFFIXES, shown_files
 from ..core.files.writing import replacing
 from ..core.heads.key_map import KeyMap, KeyPose, learn_map, load_map
 from ..core.heads.key_presets import presets
@@ -278,7 +279,7 @@ class FACEMIME_OT_add_sound(_OnTakesVideo, bpy.types.Operator):
     bl_idname = "facemime.add_sound"
     bl_label = "Add Sound"
 
-    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi;*.wav;*.flac;*.mp3;*.ogg", options={"HIDDEN"})
+    filter_glob: StringProperty(default=shown_files(*sorted(VIDEO_SUFFIXES), *takes_store.SOUNDS), options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene
@@ -297,7 +298,7 @@ class FACEMIME_OT_add_reference(_OnTakesVideo, bpy.types.Operator):
     bl_label = "Add Reference"
     needs = (require_heads, require_take)
 
-    filter_glob: StringProperty(default="*.mp4;*.mov;*.mkv;*.webm;*.avi", options={"HIDDEN"})
+    filter_glob: StringProperty(default=shown_files(*sorted(VIDEO_SUFFIXES)), options={"HIDDEN"})
 
     def work(self, context: bpy.types.Context) -> None:
         scene = context.scene

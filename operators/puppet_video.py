@@ -9,6 +9,7 @@ from ..blender.meshes import object_of
 from ..blender.stubs import OperatorResult
 from ..blender.viewports import redraw
 from ..core.errors import FacemimeError, Message
+from ..core.files.suffixes import VIDEO_SUFFIXES, shown_files
 from ..core.takes.file import SUFFIX, load_take
 from ..core.takes.take import Take
 from ..sessions.tracking import TrackingSession
@@ -28,7 +29,7 @@ class FACEMIME_OT_puppet_video(ShowsProgress, AsksForFile, bpy.types.Operator):
     needs = (require_object_mode, require_heads)
 
     filepath: StringProperty(name="Video", subtype="FILE_PATH", options={"SKIP_SAVE"})
-    filter_glob: StringProperty(default="*.mp4;*.mov;*.avi;*.mkv;*.webm;*.m4v;*.facetake", options={"HIDDEN"})
+    filter_glob: StringProperty(default=shown_files(*sorted(VIDEO_SUFFIXES), SUFFIX), options={"HIDDEN"})
 
     _session: TrackingSession | None = None
     _head: str = ""

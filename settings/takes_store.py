@@ -25,7 +25,7 @@ from .performers import read_learnt
 from .storage import TAKES, default_folder, free_path, located, project_folder, relative
 from .takes_properties import FacemimeTake
 
-_SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
+SOUNDS = (".wav", ".flac", ".mp3", ".ogg")
 
 
 class MisnamedError(SourceError):
@@ -178,7 +178,7 @@ def video_of(scene: bpy.types.Scene, line: FacemimeTake) -> Path | None:
 
 def sound_beside(video: Path) -> Path:
     """Return the sound file next to `video` with the same name, or `video` itself if there is none."""
-    return next((path for suffix in _SOUNDS if (path := video.with_suffix(suffix)).is_file()), video)
+    return next((path for suffix in SOUNDS if (path := video.with_suffix(suffix)).is_file()), video)
 
 
 def pack(line: FacemimeTake) -> None:

@@ -9,8 +9,7 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -21,6 +20,7 @@ from ..errors import Message, OutputError, SourceError
 from ..numeric.opencv import silence_opencv
 from .closing import Closing
 from .frame_rate import FASTEST, nominal_rate
+from .frames import Frame
 from .media_headers import TIFF, is_mirrored, stated_size
 from .picture_names import in_order, places
 from .reading import read_bytes
@@ -39,23 +39,8 @@ _LOOKED_AT = 60
 """Number of frames whose times give the rate if the file states one at which no camera records."""
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A frame of a video.
-
-    Attributes
-    ----------
-    image : (H, W, 3) uint8
-        BGR.
-    time : float
-        Seconds from the first frame.
-    index : int
-        Number of the frame in the source, from 0.
-    """
-
-    image: NDArray[np.uint8]
-    time: float
-    index: int
+_LATEST = 1e9
+"""Seconds at which no frame is shown: 32 years; clocks in files start at most at some days."""
 
 
 class VideoSource(Closing):
@@ -138,13 +123,14 @@ class VideoSource(Closing):
         """Advance from frame to frame, and yield the time of each in seconds from the first one."""
         start = previous = None
         while self._capture.grab():
-            stamp = float(self._capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
-            if previous is not None and not stamp > previous:
-                stamp = previous + 1.0 / self.fps
-            start = stamp if start is None else start
-            previous = stamp
-            yield stamp - start
-        if start is None:
+            expected = 0.0 if previous is None else previous + 1.0 / self.fps
+            stamp = _stamp(self._capture)
+            if stamp is not None and start is None:
+                start = stamp - expected
+            time = expected if stamp is None or start is None else stamp - start
+            previous = time if previous is None or time > previous else expected
+            yield previous
+        if previous is None:
             raise SourceError(
                 "No frame of {path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
                 "Convert it to MP4 (H.264) and try again.",
@@ -168,13 +154,21 @@ class VideoSource(Closing):
 
     def _first_times(self) -> list[float]:
         frames = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
-        times = [float(frames.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0 for _ in range(_LOOKED_AT) if frames.grab()]
+        stamps = [_stamp(frames) for _ in range(_LOOKED_AT) if frames.grab()]
         frames.release()
-        return times
+        return [stamp for stamp in stamps if stamp is not None]
 
     def close(self) -> None:
         """Release the file; may be called twice."""
         self._capture.release()
+
+
+def _stamp(capture: cv2.VideoCapture) -> float | None:
+    """Return when the frame is shown in seconds of the file; None if the file does not say, as streams without a
+    container do not, for which OpenCV returns an impossible number.
+    """
+    stamp = float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
+    return stamp if abs(stamp) < _LATEST else None
 
 
 PICTURE_RATE = 25.0
@@ -245,19 +239,6 @@ def unreadable_folder(folder: Path, error: OSError) -> SourceError:
 def open_video(path: Path, rate: float = PICTURE_RATE) -> VideoSource | PictureSource:
     """Open a video, or a folder of pictures, which are shown at a rate in frames per second."""
     return PictureSource(path, rate) if os.path.isdir(path) else VideoSource(path)
-
-
-def at_constant_rate(frames: Iterable[Frame], fps: float) -> Iterator[Frame]:
-    """Resample frames to a constant rate, each moment showing the frame that was on display then, with its index."""
-    emitted = 0
-    shown: Frame | None = None
-    for frame in frames:
-        while shown is not None and emitted / fps < frame.time - 0.5 / fps:
-            yield Frame(shown.image, emitted / fps, shown.index)
-            emitted += 1
-        shown = frame
-    if shown is not None:
-        yield Frame(shown.image, emitted / fps, shown.index)
 
 
 def require_file(path: Path) -> None:

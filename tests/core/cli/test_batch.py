@@ -45,14 +45,15 @@ JOB = PuppetJob(Path("a.mp4"), Path("out"))
 
 
 def test_clips_are_found_in_folders_and_lists_in_a_fixed_order(tmp_path):
-    for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm", "._b.mp4", "a folder.mp4/notes.txt"):
+    for name in ("b.mp4", "a.MOV", "notes.txt", "deep/c.webm", "._b.mp4", "a folder.mp4/notes.txt", "c.MTS"):
         (tmp_path / "clips" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "clips" / name).write_text(name)
-    folder = [tmp_path / "clips" / name for name in ("a.MOV", "b.mp4", "deep/c.webm")]
+    folder = [tmp_path / "clips" / name for name in ("a.MOV", "b.mp4", "c.MTS", "deep/c.webm")]
     assert find_clips([tmp_path / "clips"]) == folder
     (tmp_path / "list.txt").write_text("# mine\nclips/b.mp4\n\nnowhere.mp4\n")
     assert find_clips([tmp_path / "list.txt"]) == [tmp_path / "clips" / "b.mp4", tmp_path / "nowhere.mp4"]
-    assert len(find_clips([tmp_path / "clips", tmp_path / "clips" / "b.mp4"])) == 4
+    assert len(find_clips([tmp_path / "clips", tmp_path / "clips" / "b.mp4"])) == 5
+    assert find_clips([tmp_path / "clips" / "c.MTS"]) == [tmp_path / "clips" / "c.MTS"]
     (tmp_path / "empty").mkdir()
     (tmp_path / "binary").write_bytes(b"\xff\xfe\x00")
     for source, words in (

@@ -128,9 +128,9 @@ def test_a_list_of_clips_has_to_be_short_utf_8_text(tmp_path, monkeypatch):
     from facemime.cli import clips
 
     monkeypatch.setattr(clips, "_MAX_LIST", 10)
-    (tmp_path / "film.mpg").write_text("a" * 11)
+    (tmp_path / "film.xyz").write_text("a" * 11)
     with pytest.raises(SourceError, match="nor a list of clips"):
-        find_clips([tmp_path / "film.mpg"])
+        find_clips([tmp_path / "film.xyz"])
     (tmp_path / "list.txt").write_text("b.mp4\n")
     assert find_clips([tmp_path / "list.txt"]) == [tmp_path / "b.mp4"]
 

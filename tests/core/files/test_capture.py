@@ -12,15 +12,14 @@ import pytest
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.files import capture
 from facemime.core.files.capture import (
-    Frame,
     PictureSource,
     VideoSource,
-    at_constant_rate,
     is_address,
     open_video,
     read_image,
     write_image,
 )
+from facemime.core.files.frames import Frame, at_constant_rate
 from tests.helpers.matroska import browser_video
 from tests.helpers.phone_video import phone_video
 from tests.helpers.turned import turned_clip
@@ -64,6 +63,21 @@ def test_videos_that_are_stored_mirrored_are_shown_as_players_show_them(tmp_path
     parts = {"top": image[:12], "bottom": image[-12:], "left": image[:, :12], "right": image[:, -12:]}
     by_brightness = sorted(parts, key=lambda side: parts[side].mean(), reverse=True)
     assert by_brightness[:2] == [bright, grey]
+
+
+@pytest.mark.parametrize("stamps", [[None] * 5, [None, None, 1.52, 1.56, 1.6], [7.0, 7.04, None, 7.12, None]])
+def test_frames_without_a_time_follow_each_other_at_the_stated_rate(tmp_path, monkeypatch, stamps):
+    path, shown = write_clip(tmp_path / "clip.mp4", 5, 25.0), iter(stamps)
+    with VideoSource(path) as source:
+        monkeypatch.setattr(capture, "_stamp", lambda _: next(shown))
+        np.testing.assert_allclose(list(source.times()), np.arange(5) / 25.0, atol=1e-9)
+
+
+def test_a_stream_without_a_container_has_the_times_of_its_rate(tmp_path):
+    picture = cv2.imencode(".jpg", np.full((48, 64, 3), 100, np.uint8))[1].tobytes()
+    (tmp_path / "camera.mjpeg").write_bytes(picture * 10)
+    with VideoSource(tmp_path / "camera.mjpeg") as source:
+        np.testing.assert_allclose(list(source.times()), np.arange(10) / source.fps, atol=1e-9)
 
 
 @pytest.mark.parametrize("shown", [(96, 48), (64, 96), (64, 48)])
