@@ -21,7 +21,7 @@ from ..numeric.opencv import silence_opencv
 from .closing import Closing
 from .frame_rate import FASTEST, nominal_rate
 from .frames import Frame
-from .media_headers import TIFF, is_mirrored, stated_size
+from .media_headers import TIFF, is_mirrored, lacks_index, stated_size
 from .picture_names import in_order, places
 from .reading import read_bytes
 from .writing import reason_of, replacing
@@ -81,6 +81,12 @@ class VideoSource(Closing):
         # FFmpeg takes text before a colon for a protocol, unless the path begins with a slash.
         self._capture = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
         if not self._capture.isOpened():
+            if lacks_index(self.path):
+                raise SourceError(
+                    "{path} is incomplete: its index, which is written last, is missing. "
+                    "Copy or record it again, or repair it.",
+                    path=self.path,
+                )
             raise SourceError(
                 "{path} cannot be read as a video. Convert it to MP4 (H.264) and try again.", path=self.path
             )

@@ -184,6 +184,30 @@ def last_image(path: Path) -> float | None:
     return max(times) - times[0] if times else None
 
 
+def lacks_index(path: Path) -> bool:
+    """Return whether an MP4 or MOV has no complete index, without which it cannot be read: if it is written last, it is
+    missing in files whose recording or copy was interrupted.
+    """
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, 2)
+            place, first = 0, True
+            while place + 8 <= size:
+                file.seek(place)
+                length, name = struct.unpack(">I4s", file.read(8))
+                if first and name not in _MP4:
+                    return False
+                if length == 1:
+                    (length,) = struct.unpack(">Q", file.read(8))
+                length = length or size - place
+                if name in (b"moov", b"meta"):  # of a video, or of a picture
+                    return bool(place + length > size)
+                place, first = place + max(length, 8), False
+    except _FAULTS:
+        return False
+    return not first
+
+
 def is_mirrored(path: Path) -> bool:
     """Return whether the images of an MP4, MOV or Matroska file are to be displayed mirrored; False if it is damaged.
 

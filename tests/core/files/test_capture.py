@@ -73,6 +73,20 @@ def test_frames_without_a_time_follow_each_other_at_the_stated_rate(tmp_path, mo
         np.testing.assert_allclose(list(source.times()), np.arange(5) / 25.0, atol=1e-9)
 
 
+def test_a_video_whose_recording_was_interrupted_is_called_incomplete(tmp_path):
+    whole = write_clip(tmp_path / "clip.mp4", 5).read_bytes()
+    index = whole.index(b"moov") - 4
+    for content in (whole[:index], whole[: index - 20], whole[: index + 20], whole[: whole.index(b"ftyp") + 40]):
+        (tmp_path / "cut.mp4").write_bytes(content)
+        with pytest.raises(SourceError, match="is incomplete: its index"):
+            VideoSource(tmp_path / "cut.mp4")
+    picture = whole[: int.from_bytes(whole[:4], "big")] + (8).to_bytes(4, "big") + b"meta"
+    for content in (b"", whole[:6], b"text" * 40, picture):
+        (tmp_path / "other.mp4").write_bytes(content)
+        with pytest.raises(SourceError, match="cannot be read as a video"):
+            VideoSource(tmp_path / "other.mp4")
+
+
 def test_a_stream_without_a_container_has_the_times_of_its_rate(tmp_path):
     picture = cv2.imencode(".jpg", np.full((48, 64, 3), 100, np.uint8))[1].tobytes()
     (tmp_path / "camera.mjpeg").write_bytes(picture * 10)
