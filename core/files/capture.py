@@ -41,6 +41,11 @@ _LOOKED_AT = 60
 
 _LATEST = 1e9
 """Seconds at which no frame is shown: 32 years; clocks in files start at most at some days."""
+_BACK = 1.0
+"""Seconds by which times go back where a file was joined from several, so that its clock starts again: images that are
+out of order are less than that apart."""
+_LEAST = 1e-3
+"""Smallest step in seconds, as files of most recorders have, between frames that would be out of order."""
 
 
 class VideoSource(Closing):
@@ -127,14 +132,16 @@ class VideoSource(Closing):
 
     def times(self) -> Iterator[float]:
         """Advance from frame to frame, and yield the time of each in seconds from the first one."""
-        start = previous = None
+        start, last, previous = 0.0, None, None
         while self._capture.grab():
-            expected = 0.0 if previous is None else previous + 1.0 / self.fps
-            stamp = _stamp(self._capture)
-            if stamp is not None and start is None:
-                start = stamp - expected
-            time = expected if stamp is None or start is None else stamp - start
-            previous = time if previous is None or time > previous else expected
+            time = 0.0 if previous is None else previous + 1.0 / self.fps
+            if (stamp := _stamp(self._capture)) is not None:
+                if last is None or stamp < last - _BACK:
+                    start = stamp - time
+                elif stamp > last:  # otherwise only this frame has no time of its own
+                    time = stamp - start
+                last = stamp
+            previous = time if previous is None else max(time, previous + _LEAST)
             yield previous
         if previous is None:
             raise SourceError(

@@ -87,6 +87,31 @@ def test_a_video_whose_recording_was_interrupted_is_called_incomplete(tmp_path):
             VideoSource(tmp_path / "other.mp4")
 
 
+@pytest.mark.parametrize(
+    "steps",
+    [
+        [1 / 30] * 20 + [0.0] + [1 / 60] * 100 + [1 / 30] * 20,
+        ([1 / 30] * 10 + [0.0]) * 8,
+        [1 / 30] * 20 + [-0.01] + [1 / 60] * 100,
+    ],
+)
+def test_a_frame_with_the_time_of_the_one_before_does_not_delay_the_following_ones(tmp_path, steps):
+    stamps = np.round(1000.0 * np.cumsum([0.0, *steps])).astype(int)
+    images = [np.full((48, 64, 3), number % 200, np.uint8) for number in range(len(stamps))]
+    with VideoSource(browser_video(tmp_path / "clip.mkv", images, stamps.tolist())) as source:
+        times = np.array(list(source.times()))
+    assert np.all(np.diff(times) > 0.0) and len(times) == len(stamps)
+    assert np.abs(times - stamps / 1000.0).max() < 0.035
+
+
+def test_the_times_of_a_file_whose_clock_starts_again_go_on(tmp_path):
+    stamps = [0, 40, 80, 120, 5000, 5100, 5200, 0, 100, 200]
+    images = [np.full((48, 64, 3), 20 * number, np.uint8) for number in range(len(stamps))]
+    with VideoSource(browser_video(tmp_path / "clip.mkv", images, stamps)) as source:
+        steps = np.diff(list(source.times()))
+    np.testing.assert_allclose(steps, [0.04, 0.04, 0.04, 4.88, 0.1, 0.1, 1.0 / source.fps, 0.1, 0.1], atol=1e-6)
+
+
 def test_a_stream_without_a_container_has_the_times_of_its_rate(tmp_path):
     picture = cv2.imencode(".jpg", np.full((48, 64, 3), 100, np.uint8))[1].tobytes()
     (tmp_path / "camera.mjpeg").write_bytes(picture * 10)
