@@ -22,6 +22,7 @@ from .closing import Closing
 from .frame_rate import FASTEST, nominal_rate
 from .frames import Frame
 from .media_headers import TIFF, is_mirrored, lacks_index, stated_size
+from .orientation import oriented, webp_orientation
 from .picture_names import in_order, places
 from .reading import read_bytes
 from .writing import reason_of, replacing
@@ -347,6 +348,11 @@ def read_image(path: Path) -> NDArray[np.uint8]:
 def _decoded(data: bytes) -> NDArray[np.uint8] | None:
     """Decode an image, (H, W, 3) BGR; None if that is impossible."""
     stored = np.frombuffer(data, np.uint8)
+    if data[8:12] == b"WEBP":
+        stored_image = cv2.imdecode(stored, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        if stored_image is None:
+            return None
+        return oriented(np.asarray(stored_image, dtype=np.uint8), webp_orientation(data))
     image = cv2.imdecode(stored, cv2.IMREAD_UNCHANGED) if data.startswith(TIFF) else None
     if image is None or image.dtype.kind != "f":
         image = cv2.imdecode(stored, cv2.IMREAD_COLOR)

@@ -14,6 +14,7 @@ from facemime.cli.main import main
 from facemime.core.errors import OutputError, SourceError
 from facemime.core.files.capture import IMAGE_SUFFIXES, read_image, write_image
 from facemime.core.files.media_headers import stated_size
+from facemime.core.files.orientation import webp_orientation
 from facemime.core.puppet.sources import PicturePlayer
 
 
@@ -141,3 +142,45 @@ def test_an_image_that_is_too_large_for_its_format_is_refused(tmp_path):
     with pytest.raises(OutputError, match=r"cannot hold 70000 x 1 pixels\. Use the suffix \.png"):
         write_image(tmp_path / "wide.jpg", np.zeros((1, 70_000, 3), np.uint8))
     assert not list(tmp_path.iterdir())
+
+
+def stated(orientation: int, order: str) -> bytes:
+    """EXIF data that states an orientation, in an order of bytes of `struct`."""
+    head = b"II*\0" if order == "<" else b"MM\0*"
+    entries = struct.pack(order + "HHIHH", 0x0100, 3, 1, 64, 0) + struct.pack(
+        order + "HHIHH", 0x0112, 3, 1, orientation, 0
+    )
+    return head + struct.pack(order + "IH", 8, 2) + entries + bytes(4)
+
+
+def chunk(name: bytes, content: bytes) -> bytes:
+    """A chunk of a WebP file."""
+    return name + struct.pack("<I", len(content)) + content + bytes(len(content) % 2)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize("prefix", [b"", b"Exif\0\0"])
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_webp_image_is_upright_as_a_jpeg_with_the_same_exif_data_is(tmp_path, orientation, prefix, order):
+    image = np.zeros((48, 64, 3), np.uint8)
+    image[:16], image[16:, :16] = 255, 128
+    exif = stated(orientation, order)
+    jpeg = cv2.imencode(".jpg", image)[1].tobytes()
+    marker = b"\xff\xe1" + struct.pack(">H", 8 + len(exif)) + b"Exif\0\0" + exif
+    (tmp_path / "a.jpg").write_bytes(jpeg[:2] + marker + jpeg[2:])
+    pixels = cv2.imencode(".webp", image, [cv2.IMWRITE_WEBP_QUALITY, 101])[1].tobytes()[12:]
+    canvas = bytes([8, 0, 0, 0]) + (63).to_bytes(3, "little") + (47).to_bytes(3, "little")
+    chunks = b"WEBP" + chunk(b"VP8X", canvas) + pixels + chunk(b"EXIF", prefix + exif)
+    (tmp_path / "a.webp").write_bytes(b"RIFF" + struct.pack("<I", len(chunks)) + chunks)
+    jpeg_image, webp_image = read_image(tmp_path / "a.jpg"), read_image(tmp_path / "a.webp")
+    assert webp_image.shape == jpeg_image.shape == ((48, 64, 3) if orientation < 5 else (64, 48, 3))
+    assert np.abs(webp_image.astype(int) - jpeg_image).mean() < 4.0
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"Exif\0\0", b"II*\0", stated(0, "<"), stated(9, "<"), stated(6, "<")[:20], b"II*\0" + b"\xff" * 40],
+)
+def test_damaged_exif_data_of_a_webp_image_turns_nothing(content):
+    data = b"RIFF" + bytes(4) + b"WEBP" + chunk(b"VP8L", bytes(7)) + chunk(b"EXIF", content)
+    assert webp_orientation(data) == 1 == webp_orientation(data[:40])
