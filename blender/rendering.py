@@ -56,7 +56,7 @@ def _rendered(scene: bpy.types.Scene, frames: Iterable[float], size: tuple[int, 
         render.image_settings.media_type = "IMAGE"
     render.image_settings.file_format = "BMP"
     render.image_settings.color_mode = "RGB"
-    render.filepath = str(path)
+    render.filepath = _literal(path)
     for frame in frames:
         whole = int(np.floor(frame))
         scene.frame_set(whole, subframe=float(frame - whole))
@@ -167,11 +167,17 @@ def _encode(folder: Path, names: list[str], size: tuple[int, int], fps: float, o
         render.ffmpeg.constant_rate_factor = "HIGH"
         render.ffmpeg.ffmpeg_preset = "GOOD"
         render.use_file_extension = False
-        render.filepath = str(output)
+        render.filepath = _literal(output)
         with quiet():
             bpy.ops.render.render(animation=True, scene=scene.name)
     finally:
         bpy.data.scenes.remove(scene)
+
+
+def _literal(path: Path) -> str:
+    """Return the text of a path for Blender's render output, in which braces have a meaning from Blender 4.5."""
+    text = str(path)
+    return text if bpy.app.version < (4, 5, 0) else text.replace("{", "{{").replace("}", "}}")
 
 
 def set_rate(scene: bpy.types.Scene, fps: float) -> None:

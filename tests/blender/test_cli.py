@@ -5,6 +5,7 @@ import os
 import re
 import signal
 import subprocess
+import tempfile
 from pathlib import Path
 
 import bpy
@@ -244,6 +245,20 @@ def test_an_incomplete_video_is_reported(tmp_path, monkeypatch):
     with pytest.raises(OutputError, match="Free some disk space"):
         rendering.write_video(images, 25.0, tmp_path / "out.mp4")
     assert rendering._frames_in(tmp_path / "out.mp4") == 10
+
+
+@pytest.mark.parametrize("name", ["{x} #1", "{blend_name}", "a{{b"])
+def test_folders_whose_names_mean_something_in_blenders_paths_are_written_to(tmp_path, monkeypatch, name):
+    folder = tmp_path / name
+    folder.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    rendering.write_video([np.full((64, 64, 3), 100, np.uint8)] * 3, 25.0, folder / "out.mp4")
+    assert rendering._frames_in(folder / "out.mp4") == 3
+    scene = bpy.context.scene
+    scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(scene.camera)
+    (image,) = rendering.render_frames(scene, [1.0], (64, 48))
+    assert image.shape == (48, 64, 3) and os.listdir(folder) == ["out.mp4"]
 
 
 @pytest.mark.thorough
