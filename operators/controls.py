@@ -11,7 +11,14 @@ from ..blender.controls.checks import loose_parts, measure_speed
 from ..blender.controls.display import ControlSheet
 from ..blender.controls.face_rig import add_face_rig
 from ..blender.controls.probing import Learning
-from ..blender.controls.stored import require_storable, rig_group, stored_map, write_controls, write_order
+from ..blender.controls.stored import (
+    renew_stored,
+    require_storable,
+    rig_group,
+    stored_map,
+    write_controls,
+    write_order,
+)
 from ..blender.heads.parts import ensure_bones
 from ..blender.rigs import read_rig
 from ..core.errors import HeadError
@@ -144,3 +151,10 @@ class FACEMIME_OT_export_control_sheet(AsksForFileToWrite, OnHead, bpy.types.Ope
             manager.progress_end()
         sheet.write(path)
         report(self, "Written to {path}", path=path)
+
+
+def _opened(*_: object) -> None:
+    renew_stored()
+
+
+HANDLERS = {"load_post": _opened}

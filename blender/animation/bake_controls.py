@@ -14,7 +14,6 @@ from ...core.bake.bake_settings import BakeSettings
 from ...core.bake.bezier import BezierCurve
 from ...core.bake.curves import fit_key_curves
 from ...core.drive.driver import HeadMotion
-from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import ROTATION, RigChannel, RigMap
 from ...core.rigs.solver import RigSolver
@@ -132,7 +131,6 @@ def _turning(channel: RigChannel, vectors: FloatArray, angle: float | None, grou
 def controls_plan(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
     """Plan a bake to the controls of a head; raises FacemimeError as `read_controls`, or if a control is missing."""
     found = read_controls(obj)
-    check_controls(found)
     solved = solve_motion(obj, found, motion.vertices[:, found.sample].astype(np.float64))
     tolerance = bake.clean * unit if timing.is_whole else 0.0
     values = with_taught(found, solved.values, motion.controls)
@@ -159,14 +157,6 @@ def control_owners(head: bpy.types.Object) -> list[bpy.types.Object]:
     found = stored_map(head)
     names = dict.fromkeys(channel.owner for channel in found.channels) if found is not None else ()
     return [bpy.data.objects[name] for name in names if name in bpy.data.objects]
-
-
-def check_controls(found: RigMap) -> None:
-    """Raise HeadError if what has the controls is linked from another file."""
-    for name in dict.fromkeys(channel.owner for channel in found.channels):
-        obj = bpy.data.objects.get(name)
-        if obj is None or obj.library is not None:
-            raise HeadError("The control {name} is missing. Learn the controls again.", name=name)
 
 
 def rest_controls(head: bpy.types.Object, owner: bpy.types.Object, paths: Collection[str]) -> None:

@@ -15,6 +15,7 @@ from ...core.errors import HeadError, messages
 from ...core.rigs.rig_map import RigMap
 from ..characters import members_of
 from ..contexts import scene_of
+from ..controls.stored import has_controls, used_controls
 from ..fcurves import make_actions_own
 from ..meshes import exists, keys_of, mesh_of
 from ..names import CONTROLS_PROPERTY, PART_PROPERTY
@@ -94,7 +95,10 @@ class LiveHeadObject:
             head = None if target.head is None else there.get(self._uids[id(target.head)])
             if place is not None:
                 targets[name] = replace(target, obj=place, head=head)
-        return LiveHeadObject(obj, targets, self.follow, self.keys, self.controls)
+        controls = self.controls
+        if controls is not None and has_controls(obj):
+            controls = used_controls(obj)  # the undo may have renamed their objects
+        return LiveHeadObject(obj, targets, self.follow, self.keys, controls)
 
     @property
     def vertices(self) -> int:

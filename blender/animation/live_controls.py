@@ -20,7 +20,7 @@ from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, SCALE, RigMap
 from ...core.rigs.solver import RigSolver
 from ..controls.finding import path_of
-from ..controls.setting import ControlValues, holder_of
+from ..controls.setting import ControlValues, holder_in, object_known_as
 from ..controls.view import look_at
 from ..meshes import mesh_of, posed_bones, read_vertices
 from ..names import CONTROLS_PROPERTY
@@ -48,7 +48,7 @@ class LiveControls:
 
     def __init__(self, head: bpy.types.Object, found: RigMap) -> None:
         self.found = found
-        self._head = head.name
+        self._head, self._uid = head.name, head.session_uid
         self._solver, self._correcting = RigSolver(found), RigSolver(found)
         self._corrects, self._seconds = True, list[float]()
         self._zero: FloatArray | None = None
@@ -61,14 +61,14 @@ class LiveControls:
     @property
     def owners(self) -> list[bpy.types.Object]:
         """The objects that have the controls, as far as they exist."""
-        return self._values.owners
+        return list(self._values.owners.values())
 
     def paths(self, owner: bpy.types.ID) -> list[str]:
         """Return the data paths of the controls of an object."""
-        paths = []
+        paths, owners = [], self._values.owners
         for channel in self.found.channels:
-            if channel.owner == owner.name:
-                mode = "" if channel.kind == PROPERTY else holder_of(channel.owner, channel.bone).rotation_mode
+            if (obj := owners.get(channel.owner)) == owner and obj is not None:
+                mode = "" if channel.kind == PROPERTY else holder_in(obj, channel.bone).rotation_mode
                 paths.append(path_of(channel, mode))
         return list(dict.fromkeys(paths))
 
@@ -89,10 +89,10 @@ class LiveControls:
 
     def attach(self) -> None:
         """Remember the values of the controls."""
-        self._values = ControlValues(self.found.channels)
+        self._values.remember()
         for owner in self.owners:
             if CONTROLS_PROPERTY not in owner:
-                owner[CONTROLS_PROPERTY] = json.dumps(self._values.own_of(owner.name))
+                owner[CONTROLS_PROPERTY] = json.dumps(self._values.own_of(owner))
 
     def renew(self) -> None:
         """Set all controls in the next frame, as the user may have posed some."""
@@ -128,7 +128,7 @@ class LiveControls:
 
     def _look(self, variables: FloatArray) -> FloatArray | None:
         """Set the controls, and evaluate the rig: sampled vertices (S, 3), or None if there is to be no correction."""
-        head = bpy.data.objects.get(self._head)
+        head = object_known_as(self._uid, self._head)
         if not self._corrects or head is None or bpy.app.is_job_running("RENDER"):
             return None
         self._values.write(self.found.values(variables))

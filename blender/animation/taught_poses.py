@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.rigs.rig_map import PROPERTY, RigChannel
 from ..controls.finding import channels_of, path_of
-from ..controls.setting import ControlValues, holder_of
+from ..controls.setting import ControlValues, holder_of, object_known_as
 from ..controls.view import seen_vertices
 from ..muting import varying_paths
 from .targets import PoseTarget
@@ -27,7 +27,7 @@ class OwnPoses:
     """The channels of the rig of a head that nothing animates, with the values that they had at the start."""
 
     def __init__(self, head: bpy.types.Object, channels: Sequence[RigChannel]) -> None:
-        self._head, self._name = head.session_uid, head.name
+        self._head, self._uid = head.name, head.session_uid
         self._values = ControlValues(channels)
         self._before = self._values.read()
         self._least = _EDITED * np.array([channel.unit for channel in channels])
@@ -45,10 +45,10 @@ class OwnPoses:
 
     def changed(self, but: Iterable[RigChannel] = ()) -> list[str]:
         """Return the names of the controls that the user has posed since, except some channels."""
-        left = {(channel.owner, channel.key) for channel in but}
+        left = {channel.place for channel in but}
         far = np.flatnonzero(np.abs(self._values.read() - self._before) > self._least).tolist()
         found = [self._values.channels[number] for number in far]
-        return list(dict.fromkeys(one.control for one in found if (one.owner, one.key) not in left))
+        return list(dict.fromkeys(one.control for one in found if one.place not in left))
 
     def added(self, shape: NDArray[np.float32], unit: float) -> NDArray[np.float32]:
         """Add to a shape (A, 3) what the user's pose moves of it, and take the pose back.
@@ -58,7 +58,8 @@ class OwnPoses:
         """
         if not (names := self.changed()):
             return shape
-        head = next(obj for obj in bpy.data.objects if obj.session_uid == self._head)
+        head = object_known_as(self._uid, self._head)
+        assert head is not None, "a head that is taught exists"
         pose, posed = self._values.read(), seen_vertices(head)
         self._values.restore()
         without = seen_vertices(head)
@@ -72,7 +73,7 @@ class OwnPoses:
         raise HeadError(
             "Modifiers of {name} change the shape that the take shows, so that the pose of {names} cannot be taught. "
             "Disable these modifiers in the viewport, or use Learn Controls and choose Controls as Driven By.",
-            name=self._name,
+            name=head.name,
             names=", ".join(names),
         )
 

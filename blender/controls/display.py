@@ -31,7 +31,7 @@ from ..heads.placing import project
 from ..meshes import mesh_of, posed_bones, rest_bones
 from ..rigs import read_rig
 from .setting import ControlValues, held
-from .stored import read_controls, rig_group, stored_map
+from .stored import map_in, read_controls, rig_group
 from .view import PosedFace
 
 
@@ -98,7 +98,7 @@ def drawn_arrows(
     """
     group = rig_group(head)
     selected = group.controls[group.active].name if 0 <= group.active < len(group.controls) else ""
-    arrows = _arrows(head.name, group.data, "" if every else selected) if every or selected else None
+    arrows = _arrows(group.data, "" if every else selected) if every or selected else None
     evaluated = head.evaluated_get(depsgraph)
     vertices = mesh_of(evaluated).vertices
     if arrows is None or len(vertices) < len(mesh_of(head).vertices) or not len(arrows.vertices):
@@ -126,9 +126,9 @@ def _turn_of_head(head: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> NDA
 
 
 @lru_cache(maxsize=8)
-def _arrows(name: str, data: str, chosen: str) -> Arrows | None:
-    """Arrows of a control, or of all, of what was learnt of the head `name`, which is stored as `data`."""
-    found = stored_map(bpy.data.objects[name])
+def _arrows(data: str, chosen: str) -> Arrows | None:
+    """Arrows of a control, or of all, of what was learnt, which is stored as `data`."""
+    found = map_in(data)
     if found is None:
         return None
     return control_arrows(found, chosen) if chosen else all_arrows(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -26,33 +26,44 @@ _MOST = 1e4
 """Range above which a property has none."""
 
 
-def armatures_of(head: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the armatures that deform a head, or that drive its shape keys, by name."""
-    found = {*_deforming(head), *(obj for obj in driving(head) if obj.type == "ARMATURE")}
-    return sorted(found, key=lambda obj: obj.name)
+def owners_of(head: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the objects of the rig of a head: those that deform its meshes, and then those that drive them.
 
-
-def _deforming(head: bpy.types.Object) -> set[bpy.types.Object]:
-    modifiers = [modifier for member in members_of(head) for modifier in member.obj.modifiers]
-    return {
-        modifier.object
-        for modifier in modifiers
-        if isinstance(modifier, bpy.types.ArmatureModifier) and modifier.object is not None
-    }
-
-
-def driving(head: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the objects whose values drive the shape keys of a head's meshes, or the armatures that deform them."""
-    found: dict[bpy.types.Object, None] = {}
+    They come in the order in which the character uses them, which is the same on a copy, whatever their names are.
+    """
     meshes = [member.obj for member in members_of(head)]
+    deforming = _deforming(meshes)
     keys = [block for block in (mesh_of(obj).shape_keys for obj in meshes) if block is not None]
-    for owner in (*keys, *_deforming(head)):
-        for curve in drivers_of(owner):
+    return list(dict.fromkeys([*deforming, *_driving([*keys, *deforming])]))
+
+
+def require_animatable(obj: bpy.types.Object) -> None:
+    """Raise HeadError if an object of a rig is linked from another file."""
+    if obj.library is not None:
+        raise HeadError(
+            "{name} is linked from another file and cannot be animated here. Make a library override of it "
+            "(Object > Library Override > Make), or make it local.",
+            name=obj.name,
+        )
+
+
+def armatures_of(head: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the armatures that deform a head, or that drive its shape keys, in the order of `owners_of`."""
+    return [obj for obj in owners_of(head) if obj.type == "ARMATURE"]
+
+
+def _deforming(meshes: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    modifiers = [modifier for obj in meshes for modifier in obj.modifiers]
+    found = [modifier.object for modifier in modifiers if isinstance(modifier, bpy.types.ArmatureModifier)]
+    return list(dict.fromkeys(obj for obj in found if obj is not None))
+
+
+def _driving(driven: Sequence[bpy.types.ID]) -> Iterator[bpy.types.Object]:
+    """Yield the objects whose values drive shape keys or armatures."""
+    for owner in driven:
+        for curve in sorted(drivers_of(owner), key=lambda curve: (curve.data_path, curve.array_index)):
             for variable in curve.driver.variables if curve.driver is not None else ():
-                for target in variable.targets:
-                    if isinstance(target.id, bpy.types.Object):
-                        found[target.id] = None
-    return list(found)
+                yield from (target.id for target in variable.targets if isinstance(target.id, bpy.types.Object))
 
 
 def channels_of(head: bpy.types.Object) -> list[RigChannel]:
@@ -62,15 +73,11 @@ def channels_of(head: bpy.types.Object) -> list[RigChannel]:
     """
     bpy.context.view_layer.update()  # scripts may just have scaled an armature
     found: list[RigChannel] = []
-    armatures = armatures_of(head)
-    sliders = [obj for obj in driving(head) if obj not in armatures and obj.visible_get()]
+    owners = owners_of(head)
+    armatures = [obj for obj in owners if obj.type == "ARMATURE"]
+    sliders = [obj for obj in owners if obj not in armatures and obj.visible_get()]
     for obj in (*armatures, *sliders):
-        if obj.library is not None:
-            raise HeadError(
-                "{name} is linked from another file and cannot be animated here. Make a library override of it "
-                "(Object > Library Override > Make), or make it local.",
-                name=obj.name,
-            )
+        require_animatable(obj)
     posed, bones = read_bones(head)
     posing = {bones.head, bones.eye_left, bones.eye_right}
     if posed is not None:

@@ -25,7 +25,8 @@ _Group = tuple[str, str, str, str]
 class ControlValues:
     """The channels of a rig, with the values that they had at the start.
 
-    Only names are kept, so that an undo may come between two calls. Raises HeadError if a control is missing.
+    Only names are kept, and what tells objects apart when they are renamed, so that an undo may come between two calls.
+    Raises HeadError if a control is missing.
     """
 
     def __init__(self, channels: Sequence[RigChannel]) -> None:
@@ -36,8 +37,14 @@ class ControlValues:
         self._groups = {group: np.array(numbers, dtype=np.intp) for group, numbers in groups.items()}
         self._axes = np.array([channel.index for channel in self.channels], dtype=np.intp)
         self._at_rest = np.array([channel.rest for channel in self.channels])
-        self._own = {group: _read(*group) for group in self._groups}
-        self._uids = {owner: bpy.data.objects[owner].session_uid for owner, *_ in self._groups}
+        self._uids: dict[str, int] = {}
+        for owner in dict.fromkeys(owner for owner, *_ in self._groups):
+            self._uids[owner] = object_with(owner).session_uid
+        self.remember()
+
+    def remember(self) -> None:
+        """Take the values that the channels have now as those that they had at the start."""
+        self._own = {group: self._read(group) for group in self._groups}
         self._written = np.full(len(self.channels), np.nan)
 
     def write(self, values: FloatArray) -> None:
@@ -45,14 +52,9 @@ class ControlValues:
         changed = values != self._written
         for group, numbers in self._groups.items():
             if changed[numbers].any():
-                _write(group, self._own[group], self._axes[numbers], (self._at_rest + values)[numbers])
+                holder = holder_in(self._require(group[0]), group[1])
+                _write(holder, group, self._own[group], self._axes[numbers], (self._at_rest + values)[numbers])
         self._written = np.array(values, dtype=np.float64)
-
-    @property
-    def owners(self) -> list[bpy.types.Object]:
-        """The objects that have the channels, as far as they exist; they may have been renamed."""
-        there = {obj.session_uid: obj for obj in bpy.data.objects}
-        return [there[uid] for uid in self._uids.values() if uid in there]
 
     def forget(self) -> None:
         """Set all channels the next time, as the user may have changed some."""
@@ -62,20 +64,51 @@ class ControlValues:
         """Return the changes of the channels from rest as they are now, (C,)."""
         found = np.empty(len(self.channels))
         for group, numbers in self._groups.items():
-            found[numbers] = _vector(*group)[self._axes[numbers]] - self._at_rest[numbers]
+            found[numbers] = self._vector(group)[self._axes[numbers]] - self._at_rest[numbers]
         return found
 
-    def own_of(self, owner: str) -> list[list[Any]]:
+    @property
+    def owners(self) -> dict[str, bpy.types.Object]:
+        """The objects that have channels, as far as they exist, by the names that they had at the start."""
+        found = {owner: self._find(owner) for owner in self._uids}
+        return {owner: obj for owner, obj in found.items() if obj is not None}
+
+    def own_of(self, owner: bpy.types.Object) -> list[list[Any]]:
         """Return the values that the channels of an object had: bone, kind, name, and the value."""
-        return [[bone, kind, name, own] for (obj, bone, kind, name), own in self._own.items() if obj == owner]
+        return [
+            [bone, kind, name, own]
+            for (obj, bone, kind, name), own in self._own.items()
+            if self._uids[obj] == owner.session_uid
+        ]
+
+    def _find(self, owner: str) -> bpy.types.Object | None:
+        """Return the object that had the name `owner` at the start; None if it was deleted."""
+        return object_known_as(self._uids[owner], owner)
+
+    def _require(self, owner: str) -> bpy.types.Object:
+        if (obj := self._find(owner)) is None:
+            raise missing(owner)
+        return obj
+
+    def _read(self, group: _Group) -> Any:
+        return _read(holder_in(self._require(group[0]), group[1]), group[2], group[3])
+
+    def _vector(self, group: _Group) -> FloatArray:
+        """Return a location, a scale, a rotation vector, or a property, (3,)."""
+        value = self._read(group)
+        if group[2] != ROTATION:
+            return np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
+        mode = holder_in(self._require(group[0]), group[1]).rotation_mode
+        axis, angle = matrix_of(mode, value).to_quaternion().to_axis_angle()
+        return np.array(axis) * (angle - 2.0 * np.pi if angle > np.pi else angle)
 
     def restore(self) -> None:
         """Give every channel the value that it had, to the last bit; controls that were deleted are left out."""
         for (owner, bone, kind, name), own in self._own.items():
-            obj = bpy.data.objects.get(owner)
-            if obj is None or obj.session_uid != self._uids[owner] or not _has(obj, bone):
+            obj = self._find(owner)
+            if obj is None or not _has(obj, bone):
                 continue
-            holder = holder_of(owner, bone)
+            holder = holder_in(obj, bone)
             if kind == PROPERTY:
                 holder[name] = own
             else:
@@ -97,10 +130,36 @@ def held(channels: Sequence[RigChannel]) -> Iterator[ControlValues]:
 
 def holder_of(owner: str, bone: str) -> Holder:
     """Return the bone or object that has a channel; raises HeadError if it is missing."""
-    obj = bpy.data.objects.get(owner)
-    if obj is None or not _has(obj, bone):
-        raise HeadError("The control {name} is missing. Learn the controls again.", name=bone or owner)
+    if (obj := bpy.data.objects.get(owner)) is None:
+        raise missing(bone or owner)
+    return holder_in(obj, bone)
+
+
+def holder_in(obj: bpy.types.Object, bone: str) -> Holder:
+    """Return the bone of an object that has a channel, or the object; raises HeadError if it is missing."""
+    if not _has(obj, bone):
+        raise missing(bone)
     return posed_bones(obj)[bone] if bone else obj
+
+
+def object_known_as(uid: int, name: str) -> bpy.types.Object | None:
+    """Return the object with a `session_uid`, which had a name before; None if it was deleted."""
+    obj = bpy.data.objects.get(name)
+    if obj is not None and obj.session_uid == uid:
+        return obj
+    return next((obj for obj in bpy.data.objects if obj.session_uid == uid), None)
+
+
+def object_with(name: str) -> bpy.types.Object:
+    """Return an object with channels; raises HeadError if it is missing."""
+    if (obj := bpy.data.objects.get(name)) is None:
+        raise missing(name)
+    return obj
+
+
+def missing(control: str) -> HeadError:
+    """Return the error of a control that is missing."""
+    return HeadError("The control {name} is missing. Learn the controls again.", name=control)
 
 
 def _has(obj: bpy.types.Object, bone: str) -> bool:
@@ -111,29 +170,17 @@ def _attribute(holder: Holder, kind: str) -> str:
     return rotation_channel(holder) if kind == ROTATION else kind
 
 
-def _read(owner: str, bone: str, kind: str, name: str) -> Any:
-    holder = holder_of(owner, bone)
+def _read(holder: Holder, kind: str, name: str) -> Any:
     if kind == PROPERTY:
         if not isinstance(holder.get(name), float):
-            raise HeadError("The control {name} is missing. Learn the controls again.", name=name)
+            raise missing(name)
         return holder[name]
     return tuple(getattr(holder, _attribute(holder, kind)))
 
 
-def _vector(owner: str, bone: str, kind: str, name: str) -> FloatArray:
-    """Return a location, a scale, a rotation vector, or a property, (3,)."""
-    value = _read(owner, bone, kind, name)
-    if kind != ROTATION:
-        return np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
-    mode = holder_of(owner, bone).rotation_mode
-    axis, angle = matrix_of(mode, value).to_quaternion().to_axis_angle()
-    return np.array(axis) * (angle - 2.0 * np.pi if angle > np.pi else angle)
-
-
-def _write(group: _Group, own: Any, axes: NDArray[np.intp], values: FloatArray) -> None:
+def _write(holder: Holder, group: _Group, own: Any, axes: NDArray[np.intp], values: FloatArray) -> None:
     """Set the channels of a group; axes without a channel keep their location and scale, and are not turned."""
-    owner, bone, kind, name = group
-    holder = holder_of(owner, bone)
+    _owner, _bone, kind, name = group
     if kind == PROPERTY:
         holder[name] = float(values[0])
         holder.id_data.update_tag()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import base64
 import binascii
-import hashlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,20 +17,17 @@ from ...core.errors import HeadError, SourceError
 from ...core.rigs.few import ControlOrder
 from ...core.rigs.rig_map import REGIONS, RigMap
 from ...core.rigs.solver import share_shown
-from ...core.rigs.storing import from_bytes, to_bytes
-from ..characters import members_of
-from ..fcurves import drivers_of
-from ..meshes import mesh_of, posed_bones, read_places, rest_bones
-from .finding import armatures_of
-
-_DIGITS = 5
-"""Decimals to which rest poses of bones and limits are the same."""
+from ...core.rigs.storing import StoredControls, from_bytes, to_bytes
+from ..meshes import mesh_of
+from .finding import owners_of, require_animatable
+from .fingerprint import NAMINGS, base_name, change_of, fingerprint
 
 
 def write_controls(head: bpy.types.Object, found: RigMap) -> None:
     """Store a map with a head; raises HeadError as `require_storable`."""
     require_storable(head)
-    group = rig_group(head)
+    group, labels = rig_group(head), _labels(head)
+    found = _labelled(found, {name: (name, label) for name, label in labels.items()})
     unused = {item.name for item in group.controls if not item.use}
     group.controls.clear()
     group.active, group.ranked = -1, ""
@@ -38,17 +36,39 @@ def write_controls(head: bpy.types.Object, found: RigMap) -> None:
         item = group.controls.add()
         item.name, item.region, item.use = name, region, name not in unused
     group.shown = share_shown(found)
-    group.data = base64.b64encode(to_bytes(found, fingerprint(head))).decode()
+    group.data = _encoded(head, found, labels)
+
+
+def _encoded(head: bpy.types.Object, found: RigMap, labels: Mapping[str, str]) -> str:
+    owners = [labels[obj.name] for obj in owners_of(head)]
+    return base64.b64encode(to_bytes(found, fingerprint(head), owners)).decode()
+
+
+def renew_stored() -> None:
+    """Store the controls of all heads of the file as this version does, so that they can be renamed from now on."""
+    for head in bpy.data.objects:
+        if head.library is not None or head.override_library is not None or not has_controls(head):
+            continue
+        if (stored := _stored(head)) is not None and stored.earlier and not change_of(head, stored):
+            rig_group(head).data = _encoded(head, _located(head, stored), _labels(head))
+
+
+def _labels(head: bpy.types.Object) -> dict[str, str]:
+    """Return the label of each object of a rig by its name: the one it had, or its name without Blender's number."""
+    owners, stored = owners_of(head), _stored(head)
+    found = {} if stored is None else {obj.name: label for label, obj in _owners(head, stored).items()}
+    shared = Counter(map(base_name, owners))
+    for obj in owners:
+        if obj.name not in found:
+            name = base_name(obj) if shared[base_name(obj)] == 1 else obj.name
+            numbered = (name if number == 0 else f"{name} {number}" for number in range(len(owners) + 1))
+            found[obj.name] = next(one for one in numbered if one not in found.values())
+    return found
 
 
 def require_storable(head: bpy.types.Object) -> None:
     """Raise HeadError if what is learnt cannot be stored with a head, as it is linked from another file."""
-    if head.library is not None:
-        raise HeadError(
-            "{name} is linked from another file and cannot be animated here. Make a library override of it "
-            "(Object > Library Override > Make), or make it local.",
-            name=head.name,
-        )
+    require_animatable(head)
     if head.override_library is not None:
         raise HeadError(
             "{name} is a library override, with which its controls cannot be stored. Learn them in its own file, which "
@@ -86,35 +106,35 @@ def has_controls(head: bpy.types.Object) -> bool:
 
 def are_known(head: bpy.types.Object) -> bool:
     """Return whether the controls of a head were learnt, and its rig is as it was then."""
-    if stored_map(head) is None:
-        return False
-    return _decoded(rig_group(head).data)[1] == fingerprint(head)
+    return (stored := _stored(head)) is not None and not change_of(head, stored)
 
 
 def stored_map(head: bpy.types.Object) -> RigMap | None:
     """Return all that was learnt, even if it is stale; None if nothing was, or it is damaged."""
-    try:
-        return _decoded(rig_group(head).data)[0] if has_controls(head) else None
-    except SourceError:
-        return None
+    stored = _stored(head)
+    return None if stored is None else _located(head, stored)
 
 
 def read_controls(head: bpy.types.Object) -> RigMap:
     """Return what was learnt of the controls that are used.
 
-    Raises HeadError if nothing was, no control is used, or the rig has changed since, and SourceError if what is stored
-    is damaged.
+    Raises HeadError if nothing was, no control is used, the rig has changed since, or it is linked from another file,
+    and SourceError if what is stored is damaged.
     """
     if not has_controls(head):
         raise HeadError(
             "The controls of {name} are not known. Use Learn Controls in the Head panel first.", name=head.name
         )
-    group = rig_group(head)
-    found, known = _decoded(group.data)
-    if known != fingerprint(head) or found.sample.max() >= len(mesh_of(head).vertices):
-        raise HeadError(
-            "The rig of {name} has changed since its controls were learnt. Learn the controls again.", name=head.name
+    stored = _decoded(rig_group(head).data)
+    if change := change_of(head, stored):
+        raise HeadError(change)
+    if stored.found.sample.max() >= len(mesh_of(head).vertices):
+        raise SourceError(
+            "The stored controls are damaged ({error}). Learn the controls again.", error="a vertex is missing"
         )
+    owners = _owners(head, stored)
+    for label in sorted(_used(stored.found)):
+        require_animatable(owners[label])
     chosen = used_controls(head)
     if not chosen.channels:
         raise HeadError("No control of {name} is used. Enable some in Head > Controls.", name=head.name)
@@ -127,7 +147,8 @@ def used_controls(head: bpy.types.Object) -> RigMap:
     Raises SourceError if what is stored is damaged.
     """
     group = rig_group(head)
-    return _chosen(group.data, frozenset(item.name for item in group.controls if not item.use))
+    unused = frozenset(item.name for item in group.controls if not item.use)
+    return _chosen(group.data, unused, _names(head, _decoded(group.data)))
 
 
 def controls_state(head: bpy.types.Object) -> tuple[bool, ...]:
@@ -141,60 +162,74 @@ def rig_group(head: bpy.types.Object) -> Any:
     return getattr(head, "facemime_rig", None)
 
 
+def map_in(data: str) -> RigMap | None:
+    """Return a map as it is stored, whose objects have labels as names; None if it is damaged."""
+    try:
+        return _decoded(data).found
+    except SourceError:
+        return None
+
+
+def _stored(head: bpy.types.Object) -> StoredControls | None:
+    """Return what is stored with a head; None if nothing is, or it is damaged."""
+    try:
+        return _decoded(rig_group(head).data) if has_controls(head) else None
+    except SourceError:
+        return None
+
+
+def _owners(head: bpy.types.Object, stored: StoredControls) -> dict[str, bpy.types.Object]:
+    """Return the objects of the rig of a head by their labels, without those that are no longer part of it.
+
+    A rig that has changed, and one of a file of an earlier version, is known by the names of its objects.
+    """
+    present = owners_of(head)
+    if len(stored.owners) == len(present):
+        return dict(zip(stored.owners, present, strict=True))
+    labels = stored.owners or tuple(dict.fromkeys(channel.owner for channel in stored.found.channels))
+    found: list[dict[str, bpy.types.Object]] = []
+    for naming in NAMINGS:
+        named = {naming(obj): obj for obj in reversed(present)}
+        found.append({label: named[label] for label in labels if label in named})
+    return max(found, key=len)
+
+
+def _names(head: bpy.types.Object, stored: StoredControls) -> frozenset[tuple[str, str]]:
+    """Return labels of the objects of a rig, and their names."""
+    return frozenset((label, obj.name) for label, obj in _owners(head, stored).items())
+
+
+def _located(head: bpy.types.Object, stored: StoredControls) -> RigMap:
+    """Return a map as it is stored, whose objects have the names that those of the rig of a head have now."""
+    names = dict(_names(head, stored))
+    return _labelled(stored.found, {label: (names.get(label, ""), label) for label in _used(stored.found)})
+
+
+def _used(found: RigMap) -> set[str]:
+    return {channel.owner for channel in found.channels}
+
+
+def _labelled(found: RigMap, names: Mapping[str, tuple[str, str]]) -> RigMap:
+    """Return a map whose objects have other names and labels, by their names."""
+    channels = []
+    for channel in found.channels:
+        owner, label = names[channel.owner]
+        channels.append(replace(channel, owner=owner, label=label))
+    return replace(found, channels=tuple(channels))
+
+
 @lru_cache(maxsize=8)
-def _chosen(data: str, unused: frozenset[str]) -> RigMap:
-    found = _decoded(data)[0]
+def _chosen(data: str, unused: frozenset[str], names: frozenset[tuple[str, str]]) -> RigMap:
+    found, now = _decoded(data).found, dict(names)
+    found = _labelled(found, {label: (now.get(label, ""), label) for label in _used(found)})
     return found.chosen(np.array([channel.control not in unused for channel in found.channels]))
 
 
 @lru_cache(maxsize=4)
-def _decoded(data: str) -> tuple[RigMap, str]:
+def _decoded(data: str) -> StoredControls:
     try:
         return from_bytes(base64.b64decode(data, validate=True))
     except (binascii.Error, UnicodeEncodeError) as error:
         raise SourceError(
             "The stored controls are damaged ({error}). Learn the controls again.", error=error
         ) from error
-
-
-def fingerprint(head: bpy.types.Object) -> str:
-    """Return what changes if the bones, constraints, drivers or meshes of a character do; takes milliseconds."""
-    digest = hashlib.sha256()
-    for text in _description(head):
-        digest.update(text.encode() + b"\0")
-    return digest.hexdigest()
-
-
-def _description(head: bpy.types.Object) -> Iterator[str]:
-    yield str(read_places(head).tolist())
-    for member in members_of(head):
-        mesh = mesh_of(member.obj)
-        yield f"{member.obj.name} {len(mesh.vertices)}"
-        yield from (f"{modifier.type} {modifier.name}" for modifier in member.obj.modifiers)
-        if mesh.shape_keys is not None:
-            yield from _drivers(mesh.shape_keys)
-    for armature in armatures_of(head):
-        yield armature.name
-        yield from _drivers(armature)
-        for bone in rest_bones(armature):
-            parent = "" if bone.parent is None else bone.parent.name
-            yield f"{bone.name} {parent} {bone.use_connect} {_rounded(np.array(bone.matrix_local).ravel().tolist())}"
-        for posed in posed_bones(armature):
-            yield f"{posed.name} {posed.rotation_mode} {posed.lock_location[:]} {posed.lock_rotation[:]}"
-            yield from (_constraint(constraint) for constraint in posed.constraints)
-
-
-def _rounded(values: list[float]) -> list[float]:
-    return [round(value, _DIGITS) + 0.0 for value in values]
-
-
-def _drivers(owner: bpy.types.ID) -> list[str]:
-    return [
-        f"{curve.data_path} {curve.array_index} {curve.mute} {'' if curve.driver is None else curve.driver.expression}"
-        for curve in drivers_of(owner)
-    ]
-
-
-def _constraint(constraint: bpy.types.Constraint) -> str:
-    limits = [getattr(constraint, f"{end}_{axis}", 0.0) for end in ("min", "max") for axis in "xyz"]
-    return f"{constraint.type} {constraint.name} {constraint.mute} {_rounded([constraint.influence, *limits])}"

@@ -58,6 +58,8 @@ class RigChannel:
         Value at rest: 0 of a rotation, 1 of a scale.
     unit : float
         The eye distance in the unit of a location.
+    label : str
+        What the object was called when its controls were learnt; "" if that is its name.
     """
 
     owner: str
@@ -69,11 +71,17 @@ class RigChannel:
     high: float = np.inf
     rest: float = 0.0
     unit: float = 1.0
+    label: str = ""
 
     @property
     def control(self) -> str:
-        """Name of the control, which may have several channels."""
-        return self.bone or self.name or self.owner
+        """Name of the control, which may have several channels; the same on a copy of the rig."""
+        return self.bone or self.name or self.label or self.owner
+
+    @property
+    def place(self) -> tuple[str, str, str, int, str]:
+        """What tells the channel from all others of a scene."""
+        return self.owner, self.bone, self.kind, self.index, self.name
 
     @property
     def key(self) -> str:

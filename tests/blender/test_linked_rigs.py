@@ -45,7 +45,7 @@ def overridden(collection):
     own = collection.override_hierarchy_create(bpy.context.scene, layer, do_fully_editable=True)
     layer.objects.active = head_in(own)
     layer.update()
-    return head_in(own), own.all_objects["Rig"]
+    return head_in(own), next(obj for obj in own.all_objects if obj.type == "ARMATURE")
 
 
 def bake(head):
@@ -85,3 +85,18 @@ def test_an_override_keeps_which_controls_are_used_and_refuses_to_learn(linked, 
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     head = bpy.data.objects[name, None]
     assert not head.facemime_rig.controls["Hinge"].use and "Hinge" not in read_controls(head).controls
+
+
+def test_a_second_override_is_moved_by_its_own_controls_also_when_the_file_is_opened_again(linked, tmp_path):
+    _, first = overridden(linked)
+    head, second = overridden(linked)
+    for again in (False, True):
+        if again:
+            names = first.name, head.name, second.name
+            bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+            bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+            first, head, second = (bpy.data.objects[name, None] for name in names)
+        before = state(first)
+        assert bake(head).controls == len(read_controls(head).controls)
+        assert second.animation_data.action and state(first) == before
+        assert first.animation_data is None or first.animation_data.action is None

@@ -15,6 +15,7 @@ from facemime.core.rigs.solver import RigSolver, share_shown
 from facemime.core.rigs.storing import from_bytes, to_bytes
 
 UNIT = 2.0
+RIG = {("face", 0, ""): "1f", ("bone", 0, "lip"): "2e"}
 SAMPLE = np.arange(90)
 
 
@@ -184,8 +185,9 @@ def test_a_map_survives_being_stored():
     scale = RigChannel("Rig", "lip", SCALE, 1, low=-0.3, rest=1.0)
     others = ((turn, [Probe(0.1, effect(5))]), (scale, [Probe(0.5, effect(6)), Probe(-0.3, -0.6 * effect(6))]))
     found = mapped(bone("a", 1, low=-0.1), bone("b", 2, kink=9), *others)
-    again, rig = from_bytes(to_bytes(found, "print"))
-    assert rig == "print" and again.channels == found.channels
+    stored = from_bytes(to_bytes(found, RIG, ["Rig"]))
+    again = stored.found
+    assert stored.rig == RIG and stored.owners == ("Rig",) and again.channels == found.channels
     np.testing.assert_array_equal(again.channel, found.channel)
     np.testing.assert_allclose(again.effects, found.effects, atol=1e-4 * UNIT)
     for name in ("scale", "lower", "upper", "doubt"):
@@ -195,11 +197,11 @@ def test_a_map_survives_being_stored():
 @settings(max_examples=60, deadline=None)
 @given(st.integers(0, 10_000), st.integers(0, 255), st.booleans())
 def test_damaged_bytes_are_an_error_or_a_sound_map(place, value, cut):
-    data = bytearray(to_bytes(mapped(bone("a", 1), bone("b", 2)), "print"))
+    data = bytearray(to_bytes(mapped(bone("a", 1), bone("b", 2)), RIG, ["Rig"]))
     place %= len(data)
     data[place] = value
     try:
-        found, _ = from_bytes(bytes(data[:place] if cut else data))
+        found = from_bytes(bytes(data[:place] if cut else data)).found
     except SourceError as error:
         assert "Learn the controls again" in str(error)
     else:
