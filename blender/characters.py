@@ -25,7 +25,15 @@ from ..core.heads.rig import FaceParts, Part
 from ..core.numeric import linalg
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
 from .meshes import can_be_driven, driven_by_keys, mesh_of, posed_bones, read_faces, read_vertices, rest_bones
-from .names import ARMATURE_PROPERTY, BONES_PROPERTY, HEAD_PROPERTY, PART_ATTRIBUTE, PART_PROPERTY, PARTS_PROPERTY
+from .names import (
+    ARMATURE_PROPERTY,
+    BONES_PROPERTY,
+    HEAD_PROPERTY,
+    ORDER_PROPERTY,
+    PART_ATTRIBUTE,
+    PART_PROPERTY,
+    PARTS_PROPERTY,
+)
 from .own_pose import ROTATIONS, matrix_of, own_mode, own_pose
 
 _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
@@ -120,13 +128,27 @@ def _at_rest(members: Sequence[Member]) -> tuple[NDArray[np.float32], NDArray[np
 
 
 def objects_of(head: bpy.types.Object) -> list[bpy.types.Object]:
-    """Return the other meshes of the face of `head`, by name; of a built-in head, its lashes."""
+    """Return the other meshes of the face of `head`; of a built-in head, its lashes.
+
+    They are ordered by name, until `part_order.keep_order` keeps their order for later.
+    """
     meshes = [obj for obj in bpy.data.objects if obj.type == "MESH" and HEAD_PROPERTY in obj and obj != head]
     found = [obj for obj in meshes if pointed_to(obj, obj[HEAD_PROPERTY]) == head]
     lashes = parts_of(head).get("lashes")
     if lashes is not None and lashes.type == "MESH" and lashes.parent == head:
         found.append(lashes)
-    return sorted(found, key=lambda obj: obj.name)
+    return sorted(found, key=_place)
+
+
+def _place(obj: bpy.types.Object) -> tuple[float, str, str]:
+    place = obj.get(ORDER_PROPERTY)
+    return place if isinstance(place, int) else np.inf, library_name(obj), obj.name
+
+
+def library_name(obj: bpy.types.Object) -> str:
+    """Return the name of an object; of a library override, that in the library."""
+    reference = _reference(obj)
+    return obj.name if reference is None else reference.name
 
 
 def parts_of(head: bpy.types.Object) -> dict[str, bpy.types.Object]:

@@ -45,6 +45,9 @@ FACEGEN_PROPERTY = "facemime_facegen"
 HEAD_PROPERTY = "facemime_head"
 """Custom property of another mesh of a face: the head to which it belongs."""
 
+ORDER_PROPERTY = "facemime_order"
+"""Custom property of another mesh of a face: its place among them, once something that was learnt depends on it."""
+
 ARMATURE_PROPERTY = "facemime_armature"
 """Custom property of a head: the armature that follows its pose."""
 BONES_PROPERTY = "facemime_bones"

@@ -16,11 +16,17 @@ from ..core.errors import HeadError, SourceError
 from ..core.heads.style import MAX_EXAMPLES, Example, Style, style_bytes, style_of
 from .characters import members_of
 from .meshes import key_names
+from .part_order import keep_order
 
 
 def read_style(obj: bpy.types.Object) -> Style:
     """Return the examples of a head; raises SourceError if one is damaged."""
     return Style(tuple(read_example(item) for item in _items(obj)))
+
+
+def has_examples(obj: bpy.types.Object) -> bool:
+    """Return whether a head was taught by examples."""
+    return len(_items(obj)) > 0
 
 
 def style_state(obj: bpy.types.Object) -> tuple[object, ...]:
@@ -47,6 +53,7 @@ def write_example(obj: bpy.types.Object, example: Example, place: int | None = N
     Raises HeadError if the object is linked from another file, or has too many examples.
     """
     _require_own(obj)
+    keep_order(obj)
     group = style_group(obj)
     if place is None and len(group.examples) >= MAX_EXAMPLES:
         raise HeadError(

@@ -12,6 +12,7 @@ from ..blender.controls.display import ControlSheet
 from ..blender.controls.face_rig import add_face_rig
 from ..blender.controls.probing import Learning
 from ..blender.controls.stored import (
+    has_controls,
     renew_stored,
     require_storable,
     rig_group,
@@ -20,7 +21,9 @@ from ..blender.controls.stored import (
     write_order,
 )
 from ..blender.heads.parts import ensure_bones
+from ..blender.part_order import keep_order
 from ..blender.rigs import read_rig
+from ..blender.styles import has_examples
 from ..core.errors import HeadError
 from ..core.puppet.performer import Performance
 from ..core.rigs.few import ControlOrder, face_units
@@ -154,6 +157,10 @@ class FACEMIME_OT_export_control_sheet(AsksForFileToWrite, OnHead, bpy.types.Ope
 
 
 def _opened(*_: object) -> None:
+    """Let what files of earlier versions know by names be known when these are changed."""
+    for head in bpy.data.objects:
+        if head.library is None and (has_controls(head) or has_examples(head)):
+            keep_order(head)
     renew_stored()
 
 

@@ -16,6 +16,7 @@ from ..blender.heads.painting import mirror_painted, paint_region, smooth_painte
 from ..blender.heads.parts import forget_parts, sort_again
 from ..blender.meshes import is_head, mesh_of, posed_bones
 from ..blender.names import HEAD_PROPERTY
+from ..blender.part_order import remove_from_character
 from ..blender.stubs import OperatorResult
 from ..core.bake.key_sets import KEY_SETS
 from ..core.errors import HeadError, SourceError, messages
@@ -117,7 +118,7 @@ class FACEMIME_OT_remove_part(ReportsErrors, bpy.types.Operator):
         if obj is None or HEAD_PROPERTY not in obj:
             raise HeadError("There is no such mesh. Select a mesh of the character.")
         set_part(obj, Part.SKIN, np.ones(len(mesh_of(obj).vertices), dtype=np.bool_))
-        del obj[HEAD_PROPERTY]
+        remove_from_character(obj)
 
 
 class FACEMIME_OT_find_parts(OnHead, bpy.types.Operator):

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.errors import Message
 from ...core.rigs.storing import RigPart, StoredControls
-from ..characters import members_of
+from ..characters import library_name, members_of
 from ..fcurves import drivers_of
 from ..meshes import mesh_of, posed_bones, read_places, rest_bones
 from .finding import owners_of
@@ -103,22 +103,16 @@ def _named_change(head: bpy.types.Object, stored: StoredControls, now: Mapping[R
     return ""
 
 
-def name_of(obj: bpy.types.Object) -> str:
-    """Return the name of an object; of a library override, that in the library."""
-    reference = obj.override_library.reference if obj.override_library is not None else None
-    return obj.name if reference is None else reference.name
-
-
 def base_name(obj: bpy.types.Object) -> str:
     """Return the name of an object without the number that Blender gives to copies."""
-    return re.sub(r"\.\d{3,}$", "", name_of(obj))
+    return re.sub(r"\.\d{3,}$", "", library_name(obj))
 
 
 def _own_name(obj: bpy.types.Object) -> str:
     return obj.name
 
 
-NAMINGS: tuple[Naming, ...] = (_own_name, name_of, base_name)
+NAMINGS: tuple[Naming, ...] = (_own_name, library_name, base_name)
 """Names by which files of earlier versions may know an object: its own, that in its library, that of its original."""
 
 

@@ -19,6 +19,7 @@ from ...core.rigs.rig_map import REGIONS, RigMap
 from ...core.rigs.solver import share_shown
 from ...core.rigs.storing import StoredControls, from_bytes, to_bytes
 from ..meshes import mesh_of
+from ..part_order import keep_order
 from .finding import owners_of, require_animatable
 from .fingerprint import NAMINGS, base_name, change_of, fingerprint
 
@@ -26,6 +27,7 @@ from .fingerprint import NAMINGS, base_name, change_of, fingerprint
 def write_controls(head: bpy.types.Object, found: RigMap) -> None:
     """Store a map with a head; raises HeadError as `require_storable`."""
     require_storable(head)
+    keep_order(head)
     group, labels = rig_group(head), _labels(head)
     found = _labelled(found, {name: (name, label) for name, label in labels.items()})
     unused = {item.name for item in group.controls if not item.use}
@@ -45,7 +47,7 @@ def _encoded(head: bpy.types.Object, found: RigMap, labels: Mapping[str, str]) -
 
 
 def renew_stored() -> None:
-    """Store the controls of all heads of the file as this version does, so that they can be renamed from now on."""
+    """Store the controls of the heads of the file as this version does, so that these can be renamed from now on."""
     for head in bpy.data.objects:
         if head.library is not None or head.override_library is not None or not has_controls(head):
             continue

@@ -41,6 +41,7 @@ from ..meshes import (
     rest_bones,
 )
 from ..names import HEAD_PROPERTY, PART_PROPERTY, PIVOT_PROPERTY
+from ..part_order import remove_from_character
 from .family import armature_of, copies_of, family_of, material_names
 
 _FACE_LANDMARKS = np.concatenate([JAW, NOSE])
@@ -155,7 +156,7 @@ def forget_parts(head: bpy.types.Object) -> None:
     """Discard the parts and bones of `head`, so that binding finds them again; those of a built-in head are known."""
     for obj in (obj for obj in objects_of(head) if PART_PROPERTY not in obj):
         write_kinds(mesh_of(obj), np.zeros(len(mesh_of(obj).vertices), dtype=np.int8))
-        del obj[HEAD_PROPERTY]
+        remove_from_character(obj)
     write_kinds(mesh_of(head), np.zeros(len(mesh_of(head).vertices), dtype=np.int8))
     write_bones(head, None, FaceBones())
     if PIVOT_PROPERTY in head:
