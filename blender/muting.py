@@ -188,6 +188,12 @@ def unmute_noted(owner: bpy.types.ID) -> None:
     del owner[MUTED_PROPERTY]
 
 
+def drivers_of_before(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
+    """Return the drivers of `owner` that are muted because a bake muted them."""
+    lines = _lines(owner)
+    return [driver for driver in drivers_of(owner) if driver.mute and [_DRIVER, driver.data_path] in lines]
+
+
 def _lines(owner: bpy.types.ID) -> list[list[str]]:
     """Return what bakes muted of `owner`: kinds, and data paths or names."""
     return [line.split(" ", 1) for line in str(owner.get(MUTED_PROPERTY, "")).split("\n") if line]

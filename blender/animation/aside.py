@@ -8,30 +8,22 @@ again by name, as Python's reference to a curve or track becomes invalid when th
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Collection, Iterable, Sequence
-from typing import Any
+from collections.abc import Collection, Iterable, Sequence
 
 import bpy
 
-from ..actions import baked_paths
 from ..characters import Member
 from ..fcurves import (
-    action_name,
     curves_in,
     drivers_of,
-    find_curve,
     is_baked,
     owned_paths,
-    slot_handle,
     tracks_of,
-    tracks_of_bakes,
 )
 from ..meshes import keys_of, mesh_of
 from ..names import ASIDE_PROPERTY, VALUES_PROPERTY
+from ..switching import Item, curves_of, find, listed, switch
 from .exporting import MODIFIER
-
-Item = list[Any]
-"""Kind, what identifies the item, and for some kinds the values to restore; JSON."""
 
 
 def set_aside(owner: bpy.types.ID, items: Iterable[Item]) -> None:
@@ -41,17 +33,17 @@ def set_aside(owner: bpy.types.ID, items: Iterable[Item]) -> None:
     """
     if owner.library is not None:
         return
-    listed = _listed(owner)
+    before = listed(owner)
     for item in items:
-        if item not in listed and _switch(owner, item, aside=True):
-            listed.append(item)
-    if listed:
-        owner[ASIDE_PROPERTY] = json.dumps(listed)
+        if item not in before and _switch(owner, item, aside=True):
+            before.append(item)
+    if before:
+        owner[ASIDE_PROPERTY] = json.dumps(before)
 
 
 def restore(owner: bpy.types.ID) -> None:
     """Restore what was set aside of a data-block; may be called twice."""
-    for item in _listed(owner):
+    for item in listed(owner):
         _switch(owner, item, aside=False)
     owner.pop(ASIDE_PROPERTY, None)
 
@@ -73,23 +65,10 @@ def moving(owner: bpy.types.ID, prefixes: Sequence[str]) -> list[Item]:
         if any(curve.data_path.startswith(starts) for strip in track.strips for curve in curves_in(strip))
     ]
     return [
-        *_curves(owner, lambda path: path.startswith(starts)),
+        *curves_of(owner, lambda path: path.startswith(starts)),
         *(["driver", driver.data_path, driver.array_index] for driver in driven),
         *(["track", track.name] for track in tracks),
     ]
-
-
-def bake_of(owner: bpy.types.ID) -> list[Item]:
-    """Return the curves and tracks that a bake wrote for `owner`."""
-    baked = baked_paths(owner)
-    return [*_curves(owner, baked.__contains__), *(["track", track.name] for track in tracks_of_bakes(owner))]
-
-
-def _curves(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
-    if (data := owner.animation_data) is None:
-        return []
-    start = ["curve", action_name(data), slot_handle(data)]
-    return [[*start, curve.data_path, curve.array_index] for curve in curves_in(data) if wanted(curve.data_path)]
 
 
 def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> dict[tuple[str, int], float]:
@@ -98,9 +77,9 @@ def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> 
     Values are by data path and array index. Strips count at full influence, and add or replace. Drivers do not count.
     """
     values: dict[tuple[str, int], float] = {}
-    starts, own, listed = tuple(prefixes), owned_paths(owner.animation_data), _listed(owner)
+    starts, own, items = tuple(prefixes), owned_paths(owner.animation_data), listed(owner)
     for track in tracks_of(owner):
-        if ["track", track.name] in listed and (strip := _strip_at(track, frame)) is not None:
+        if ["track", track.name] in items and (strip := _strip_at(track, frame)) is not None:
             at = strip.action_frame_start + (frame - strip.frame_start) / strip.scale
             at = min(max(at, strip.action_frame_start), strip.action_frame_end)
             for curve in curves_in(strip):
@@ -108,8 +87,8 @@ def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> 
                     place = curve.data_path, curve.array_index
                     below = values.get(place, 0.0) if strip.blend_type in ("ADD", "COMBINE") else 0.0
                     values[place] = below + curve.evaluate(at)
-    for _, *which in (item for item in listed if item[0] == "curve"):
-        curve = _find(owner, "curve", which)
+    for _, *which in (item for item in items if item[0] == "curve"):
+        curve = find(owner, "curve", which)
         if curve is not None and curve.data_path.startswith(starts) and curve.data_path not in own:
             values[curve.data_path, curve.array_index] = curve.evaluate(frame)
     return values
@@ -120,11 +99,6 @@ def _strip_at(track: bpy.types.NlaTrack, frame: float) -> bpy.types.NlaStrip | N
     strips = [strip for strip in track.strips if not is_baked(strip) and not strip.mute]
     begun = [strip for strip in strips if strip.frame_start <= frame]
     return begun[-1] if begun else next(iter(strips), None)
-
-
-def keys(names: Iterable[str]) -> list[Item]:
-    """Return shape keys by name; their owner is the data-block of keys."""
-    return [["key", name] for name in names]
 
 
 def display_of(obj: bpy.types.Object) -> list[Item]:
@@ -149,35 +123,7 @@ def _switch(owner: bpy.types.ID, item: Item, *, aside: bool) -> bool:
         modifier.show_viewport = not aside and in_viewport
         modifier.show_render = not aside and in_render
         return bool(in_viewport or in_render)
-    found = _find(owner, kind, which)
-    if found is None or found.mute == aside:
-        return False
-    found.mute = aside
-    return True
-
-
-def _find(owner: bpy.types.ID, kind: str, which: list[Any]) -> Any:
-    """Return a curve, driver, track or shape key; None if it was removed."""
-    if kind == "key":
-        assert isinstance(owner, bpy.types.Key)
-        return owner.key_blocks.get(which[0])
-    if kind == "curve":
-        action = bpy.data.actions.get(which[0])
-        return None if action is None else find_curve(action, *which[1:])
-    if (data := owner.animation_data) is None:
-        return None
-    if kind == "track":
-        return data.nla_tracks.get(which[0])
-    return data.drivers.find(which[0], index=which[1])
-
-
-def _listed(owner: bpy.types.ID) -> list[Item]:
-    """Return the items listed in a data-block, which users and add-ons may have edited."""
-    try:
-        items = json.loads(str(owner.get(ASIDE_PROPERTY, "[]")))
-    except ValueError:
-        return []
-    return [item for item in items if isinstance(item, list) and item] if isinstance(items, list) else []
+    return switch(owner, item, aside=aside)
 
 
 def resting_values(members: Sequence[Member], names: Sequence[str]) -> dict[str, float]:

@@ -25,6 +25,7 @@ from ..controls.view import PosedFace
 from ..fcurves import CharacterAction
 from ..muting import Silenced
 from ..rigs import read_rig
+from ..switching import without_bake
 from ..timeline import Timing
 from .bake_report import Plan
 
@@ -200,7 +201,7 @@ def solve_motion(head: bpy.types.Object, found: RigMap, wanted: FloatArray) -> C
     manager = bpy.context.window_manager
     manager.progress_begin(0.0, max(len(wanted), 1))
     try:
-        with held(found.channels) as controls:
+        with without_bake(head), held(found.channels) as controls:
             controls.write(np.zeros(len(found.channels)))
             rest = view.look().face
 

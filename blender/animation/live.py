@@ -20,7 +20,8 @@ from ..fcurves import make_actions_own
 from ..meshes import exists, keys_of, mesh_of
 from ..names import CONTROLS_PROPERTY, PART_PROPERTY
 from ..own_pose import move_own
-from .aside import bake_of, moving, restore, set_aside, values_aside
+from ..switching import bake_of
+from .aside import moving, restore, set_aside, values_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .bake_keys import family_keys, following_paths
 from .live_controls import LiveControls
@@ -150,7 +151,8 @@ class LiveHeadObject:
         for shown in self._living_meshes():
             if self._controls is None or mesh_of(shown.obj).shape_keys is not None:
                 by_values = self.keys or self._controls is not None
-                shown.attach(self._values_of(shown.obj) if by_values else None)
+                values = self._values_of(shown.obj) if by_values else None
+                shown.attach(values, by_rig=self._controls is not None)
         if self._controls is not None:
             self._controls.attach()
         for target in self._living_targets():

@@ -20,7 +20,8 @@ from ..frames import flat_in_blender
 from ..meshes import exists, keys_of, mesh_of, read_vertices, write_vertices
 from ..names import BAKED_KEY_PREFIX, LIVE_PROPERTY, VALUES_PROPERTY
 from ..own_pose import release_live
-from .aside import display_of, keys, restore, restore_all, set_aside
+from ..switching import bake_of_keys, keys
+from .aside import display_of, restore, restore_all, set_aside
 from .bake_keys import require_relative, value_path
 from .live_controls import clear_all_controls
 from .live_keys import LiveValues, clear_values
@@ -57,8 +58,8 @@ class LiveMesh:
         """Whether the object was deleted."""
         return not exists(self.obj)
 
-    def attach(self, values: LiveValues | None = None) -> None:
-        """Add the live shape key, or take over the values of the mesh's own keys.
+    def attach(self, values: LiveValues | None = None, *, by_rig: bool = False) -> None:
+        """Add the live shape key, or take over the values of the mesh's own keys, or leave them to the rig.
 
         The keys and the cache of an earlier bake are muted. Raises HeadError if the mesh was replaced or changed so
         that it can no longer be driven.
@@ -72,6 +73,7 @@ class LiveMesh:
             names = [key.name for key in own.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]
             names += [key.name for key in own.key_blocks if value_path(key.name) in baked]
             set_aside(own, keys(name for name in dict.fromkeys(names) if name != LIVE_KEY))
+            set_aside(own, bake_of_keys(own) if by_rig else ())
         if values is not None:
             values.attach()
         set_aside(self.obj, display_of(self.obj))

@@ -30,6 +30,7 @@ from ..frames import to_blender
 from ..heads.placing import project
 from ..meshes import mesh_of, posed_bones, rest_bones
 from ..rigs import read_rig
+from ..switching import without_bake
 from .setting import ControlValues, held
 from .stored import map_in, read_controls, rig_group
 from .view import PosedFace
@@ -53,7 +54,7 @@ class ControlSheet:
         view.sample = np.arange(len(rig.vertices))
         rest = np.asarray(rig.vertices, dtype=np.float64)
         try:
-            with held(self._map.channels) as controls:
+            with without_bake(self._head), held(self._map.channels) as controls:
                 still = self._seen(view, controls)
                 for direction in self._directions:
                     moved = self._seen(view, controls, direction) - still

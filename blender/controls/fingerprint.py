@@ -18,6 +18,7 @@ from ...core.rigs.storing import RigPart, StoredControls
 from ..characters import library_name, members_of
 from ..fcurves import drivers_of
 from ..meshes import mesh_of, posed_bones, read_places, rest_bones
+from ..switching import driver_mutes
 from .finding import owners_of
 
 Naming = Callable[[bpy.types.Object], str]
@@ -154,8 +155,10 @@ def _rounded(values: list[float]) -> list[float]:
 
 
 def _drivers(owner: bpy.types.ID) -> list[str]:
+    mutes = driver_mutes(owner)
     return [
-        f"{curve.data_path} {curve.array_index} {curve.mute} {'' if curve.driver is None else curve.driver.expression}"
+        f"{curve.data_path} {curve.array_index} {mutes[curve.data_path, curve.array_index]} "
+        f"{'' if curve.driver is None else curve.driver.expression}"
         for curve in drivers_of(owner)
     ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
 from itertools import groupby
 
 import bpy
@@ -14,6 +15,7 @@ from ...core.face.landmarks import CHIN, LIPS, N_LANDMARKS
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, RigChannel, RigMap, even_probes, map_of
 from ..rigs import read_rig
+from ..switching import without_bake
 from .finding import channels_of
 from .setting import ControlValues
 from .view import PosedFace, Seen
@@ -52,6 +54,15 @@ class Learning:
 
     def __init__(self, head: bpy.types.Object) -> None:
         self.head = head
+        self._bake = ExitStack()
+        self._bake.enter_context(without_bake(head))
+        try:
+            self._begin(head)
+        except BaseException:
+            self._bake.close()
+            raise
+
+    def _begin(self, head: bpy.types.Object) -> None:
         self.channels = channels_of(head)
         self.done, self.total = 0, len(self.channels)
         self._values = ControlValues(self.channels)
@@ -60,6 +71,7 @@ class Learning:
 
     def close(self) -> None:
         """Restore the rig."""
+        self._bake.close()
         self._values.restore()
         self._view.close()
 
