@@ -97,12 +97,13 @@ class Session:
             return []
         targets = [target for shown in self.heads for target in pose_targets_of(shown.obj, shown.targets)]
         follow = self.heads[0].follow
+        rigs = [rig for shown in self.heads for rig in shown.rigs]
         hidden = unseen(shown.obj for shown in self.heads)
         slow = [slowness(shown.obj) for shown in self.heads if shown.controls is not None]
         return [
             *hidden,
             *filter(None, slow),
-            *overruled(targets, rotation=follow.rotation, translation=follow.translation),
+            *overruled(targets, rotation=follow.rotation, translation=follow.translation, rigs=rigs),
         ]
 
     def rest_copies(self) -> None:

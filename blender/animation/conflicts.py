@@ -12,7 +12,8 @@ import numpy as np
 from ...core.drive.driver import HeadMotion
 from ...core.errors import Message
 from ..characters import Member, members_of, objects_of
-from ..meshes import armature_data, key_names, key_offsets, keys_of, mesh_of
+from ..controls.finding import is_resting
+from ..meshes import key_names, key_offsets, keys_of, mesh_of
 from ..muting import Silenced, mute_others, mute_paths, others_playing
 from .bake_keys import family_keys, moved_paths, value_path
 from .targets import PoseTarget
@@ -29,11 +30,16 @@ _ADDING = {"ADD", "BEFORE", "AFTER", "BEFORE_FULL", "AFTER_FULL", "BEFORE_SPLIT"
 """Mix modes with which a constraint adds to the pose."""
 
 
-def overruled(targets: Iterable[PoseTarget], *, rotation: bool, translation: bool) -> list[str]:
-    """Return warnings that name what keeps the pose of targets that are rotated or moved from being seen."""
+def overruled(
+    targets: Iterable[PoseTarget], *, rotation: bool, translation: bool, rigs: Iterable[bpy.types.Object] = ()
+) -> list[str]:
+    """Return warnings that name what keeps the pose of targets that are rotated or moved from being seen.
+
+    `rigs` are objects whose controls are moved.
+    """
     targets = list(targets)
-    posed = dict.fromkeys(target.obj for target in targets if target.bone)
-    resting = [obj for obj in posed if armature_data(obj).pose_position == "REST"]
+    posed = dict.fromkeys([*(target.obj for target in targets if target.bone), *rigs])
+    resting = [obj for obj in posed if is_resting(obj)]
     warnings: list[str] = [
         Message(
             "{name} is in Rest Position, which hides the pose of its bones. "

@@ -102,6 +102,11 @@ class LiveHeadObject:
         return LiveHeadObject(obj, targets, self.follow, self.keys, controls)
 
     @property
+    def rigs(self) -> list[bpy.types.Object]:
+        """The objects whose controls show the performance."""
+        return [] if self._controls is None else self._controls.owners
+
+    @property
     def vertices(self) -> int:
         """Vertex count of all its meshes at the start of the session."""
         return int(self._meshes[-1].member.part.stop)
@@ -126,8 +131,8 @@ class LiveHeadObject:
     @property
     def left_in_file(self) -> bool:
         """Whether the open file has the head as a session displays it, as after undoing a step of the session."""
-        posed = [] if self._controls is None else self._controls.owners
-        return any(shown.left_in_file for shown in self._meshes) or any(CONTROLS_PROPERTY in owner for owner in posed)
+        displayed = any(shown.left_in_file for shown in self._meshes)
+        return displayed or any(CONTROLS_PROPERTY in owner for owner in self.rigs)
 
     @property
     def blocks(self) -> set[bpy.types.ID]:
@@ -183,8 +188,7 @@ class LiveHeadObject:
         parts = [child for child, _ in self._living_parts()]
         posed = [target.obj for target in (*self._carried, *self.targets.values()) if target.exists]
         tongues = [keys_of(tongue) for tongue in filter(has_tongue, parts)]
-        controls = [] if self._controls is None else self._controls.owners
-        return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues, *controls]))
+        return list(dict.fromkeys([*([] if self.gone else [self.obj]), *parts, *posed, *tongues, *self.rigs]))
 
     def drive_by(self, keys: tuple[str, ...], controls: RigMap | None = None) -> None:
         """Show the following frames through the values of `keys`, through controls, or through the live key."""

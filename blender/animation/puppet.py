@@ -44,7 +44,7 @@ from .bake import (
     pose_targets_of,
     remove_baked,
 )
-from .bake_controls import controls_plan
+from .bake_controls import control_owners, controls_plan
 from .bake_keys import (
     RESIDUAL,
     KeyCurves,
@@ -127,7 +127,8 @@ def puppet_head(
         with holding_take(scene, shown):
             parts = list(dict.fromkeys([obj, *obj.children_recursive, *objects_of(obj)]))
             export_alembic(scene, parts, bake.path.with_suffix(".abc"))
-    unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow)]
+    rigs = control_owners(obj) if bake.keys == CONTROLS else ()
+    unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow, rigs=rigs)]
     loose = loose_parts(obj) if bake.keys == CONTROLS else ""
     left_out = _unused_keys(obj) if settings.bake.keys == AUTOMATIC and bake.keys == "new" else _muted_keys(obj, bake)
     notes = tuple(filter(None, [_what_was_muted(silenced), left_out, *unseen_for, loose, outside_range(scene, shown)]))

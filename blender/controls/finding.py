@@ -15,7 +15,7 @@ from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, RigChannel
 from ..characters import members_of, parent_matrix, read_bones
 from ..eye_bones import aim_of
 from ..fcurves import drivers_of
-from ..meshes import mesh_of, posed_bones, read_places, read_vertices
+from ..meshes import armature_data, mesh_of, posed_bones, read_places, read_vertices
 from ..own_pose import ROTATIONS
 from ..own_pose import path_of as prefix_in_path
 
@@ -95,6 +95,30 @@ def channels_of(head: bpy.types.Object) -> list[RigChannel]:
         found += _of_transform(head, obj, None, driven) if obj.type != "MESH" or obj not in _meshes(head) else ()
         found += _of_properties(obj, None, driven)
     return found
+
+
+def is_resting(obj: bpy.types.Object) -> bool:
+    """Return whether an object is an armature in Rest Position, whose bones move nothing."""
+    return obj.type == "ARMATURE" and armature_data(obj).pose_position == "REST"
+
+
+def require_deforming(head: bpy.types.Object) -> None:
+    """Raise HeadError if the armatures of a head are set up so that their bones do not move it."""
+    for armature in filter(is_resting, _deforming([head])):
+        raise HeadError(
+            "{name} is in Rest Position, which hides the pose of its bones. "
+            "Set it to Pose Position in the Armature tab.",
+            name=armature.name,
+        )
+    modifiers = [modifier for modifier in head.modifiers if isinstance(modifier, bpy.types.ArmatureModifier)]
+    deforming = [modifier for modifier in modifiers if modifier.object is not None]
+    if deforming and not any(modifier.show_viewport for modifier in deforming):
+        raise HeadError(
+            "The modifier {modifier} of {name} is disabled in viewports, so that bones do not move the face. Enable "
+            "it, and try again.",
+            modifier=deforming[0].name,
+            name=head.name,
+        )
 
 
 def eye_distance_of(head: bpy.types.Object) -> float:

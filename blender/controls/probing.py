@@ -16,7 +16,7 @@ from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, RigChannel, RigMap, even_probes, map_of
 from ..rigs import read_rig
 from ..switching import without_bake
-from .finding import channels_of
+from .finding import channels_of, require_deforming
 from .setting import ControlValues
 from .view import PosedFace, Seen
 
@@ -53,6 +53,7 @@ class Learning:
     """
 
     def __init__(self, head: bpy.types.Object) -> None:
+        require_deforming(head)
         self.head = head
         self._bake = ExitStack()
         self._bake.enter_context(without_bake(head))

@@ -9,6 +9,7 @@ import pytest
 from facemime.blender.animation import live_controls
 from facemime.blender.animation.bake_controls import solve_motion
 from facemime.blender.animation.puppet import puppet_head
+from facemime.blender.characters import write_bones
 from facemime.blender.controls.probing import Learning, learn_controls
 from facemime.blender.controls.stored import read_controls, write_controls
 from facemime.blender.controls.view import PosedFace
@@ -19,6 +20,7 @@ from facemime.blender.names import CONTROLS_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.errors import HeadError
+from facemime.core.heads.part_names import FaceBones
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.rigs.rig_map import LOCATION, ROTATION, SCALE
 from facemime.core.takes.file import save_take
@@ -132,6 +134,33 @@ def test_a_head_without_a_rig_says_that_no_control_moves_it():
         learn_controls(head)
     with pytest.raises(HeadError, match="Learn Controls"):
         bake(head)
+
+
+def test_a_rig_that_does_not_move_its_mesh_says_why(rigged):
+    head, armature = rigged
+    armature.data.pose_position = "REST"
+    bpy.context.view_layer.update()
+    with pytest.raises(HeadError, match=r"Rig is in Rest Position.* Set it to Pose Position"):
+        learn_controls(head)
+    armature.data.pose_position = "POSE"
+    head.modifiers["Rig"].show_viewport = False
+    with pytest.raises(HeadError, match=r"modifier Rig of .* is disabled in viewports"):
+        learn_controls(head)
+    other = head.modifiers.new("Other", "ARMATURE")
+    other.object, head.modifiers["Rig"].show_viewport = armature, True
+    other.show_viewport = False
+    assert "c3" in learn_controls(head).controls
+
+
+def test_bakes_and_previews_say_that_rest_position_hides_the_controls(rigged):
+    head, armature = rigged
+    write_controls(head, learn_controls(head))
+    write_bones(head, None, FaceBones())
+    armature.data.pose_position = "REST"
+    assert any("Rig is in Rest Position" in note for note in bake(head).notes)
+    session = show(head)
+    assert any("Rig is in Rest Position" in warning for warning in session.warnings)
+    session.close()
 
 
 def test_a_bake_animates_the_controls_alone(rigged):
