@@ -19,11 +19,12 @@ from ...core.rigs.rig_map import ROTATION, RigChannel, RigMap
 from ...core.rigs.solver import RigSolver
 from ..actions import Curve, write_curves
 from ..controls.finding import path_of
-from ..controls.setting import ControlValues, held, holder_of, rotated
+from ..controls.setting import ControlValues, has_locked_angles, held, holder_of, turned
 from ..controls.stored import read_controls, stored_map
 from ..controls.view import PosedFace
 from ..fcurves import CharacterAction
 from ..muting import Silenced
+from ..own_pose import rotation_channel
 from ..rigs import read_rig
 from ..switching import without_bake
 from ..timeline import Timing
@@ -120,13 +121,17 @@ def _reach(found: RigMap, numbers: list[int]) -> float:
 
 def _turning(channel: RigChannel, vectors: FloatArray, angle: float | None, group: str) -> list[Curve]:
     """Return the curves of rotation vectors (N, 3) in the rotation mode of a control."""
-    mode, before, rows = holder_of(channel.owner, channel.bone).rotation_mode, None, []
+    holder = holder_of(channel.owner, channel.bone)
+    mode, own = holder.rotation_mode, tuple(getattr(holder, rotation_channel(holder)))
+    locked = holder.lock_rotation[:] if has_locked_angles(holder) else (False,) * len(own)
+    before, rows = None, []
     for vector in vectors:
-        before = rotated(mode, vector, before)
+        before = turned(holder, vector, own, before)
         rows.append(before)
     tolerance = None if angle is None else angle / 2.0 if mode == "QUATERNION" else angle
     path = path_of(channel, mode)
-    return [Curve(path, axis, column, tolerance, group=group) for axis, column in enumerate(np.array(rows).T)]
+    columns = enumerate(np.array(rows).T)
+    return [Curve(path, axis, column, tolerance, group=group) for axis, column in columns if not locked[axis]]
 
 
 def controls_plan(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:

@@ -178,9 +178,9 @@ def _of_transform(
             down, up = min(low - rest, 0.0), max(high - rest, 0.0)
             yield RigChannel(owner.name, name, LOCATION, axis, low=down, high=up, rest=rest, unit=unit)
     turned = {f"{dotted}{kind}" for kind in ("rotation_euler", *ROTATIONS.values())}
-    if bone is not None and not turned & driven and not any(moved.lock_rotation):
+    if bone is not None and not turned & driven and not (moved.lock_rotations_4d and moved.lock_rotation_w):
         for axis, (low, high) in enumerate(turns):
-            if low < high:
+            if low < high and not moved.lock_rotation[axis]:
                 yield RigChannel(owner.name, name, ROTATION, axis, low=min(low, 0.0), high=max(high, 0.0))
     for axis, (low, high) in enumerate(sizes if bone is not None else ()):
         if not moved.lock_scale[axis] and f"{dotted}scale[{axis}]" not in driven and low < high:
@@ -191,10 +191,12 @@ def _of_transform(
 def _limits(moved: bpy.types.Object | bpy.types.PoseBone, kind: str) -> list[tuple[float, float]]:
     """Return the least and greatest value on each axis that constraints of a kind allow."""
     limits = [(-np.inf, np.inf)] * 3
+    # An object without a parent moves in the world, which is the space of a new constraint.
+    spaces = {"LOCAL", "WORLD"} if isinstance(moved, bpy.types.Object) and moved.parent is None else {"LOCAL"}
     for constraint in moved.constraints:
         if constraint.type != kind or constraint.mute or constraint.influence <= 0.0:
             continue
-        if constraint.owner_space != "LOCAL":
+        if constraint.owner_space not in spaces:
             continue
         for axis, letter in enumerate(_AXES):
             if kind == "LIMIT_ROTATION":

@@ -15,7 +15,7 @@ from ...core.errors import HeadError
 from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import PROPERTY, ROTATION, RigChannel
 from ..meshes import posed_bones
-from ..own_pose import matrix_of, rotation_channel
+from ..own_pose import ROTATIONS, matrix_of, rotation_channel
 
 Holder = bpy.types.Object | bpy.types.PoseBone
 _Group = tuple[str, str, str, str]
@@ -98,8 +98,10 @@ class ControlValues:
         value = self._read(group)
         if group[2] != ROTATION:
             return np.broadcast_to(np.asarray(value, dtype=np.float64), 3)
-        mode = holder_in(self._require(group[0]), group[1]).rotation_mode
-        axis, angle = matrix_of(mode, value).to_quaternion().to_axis_angle()
+        holder = holder_in(self._require(group[0]), group[1])
+        if has_locked_angles(holder):
+            return np.where(_locked(holder), 0.0, np.asarray(value, dtype=np.float64))
+        axis, angle = matrix_of(holder.rotation_mode, value).to_quaternion().to_axis_angle()
         return np.array(axis) * (angle - 2.0 * np.pi if angle > np.pi else angle)
 
     def restore(self) -> None:
@@ -187,8 +189,29 @@ def _write(holder: Holder, group: _Group, own: Any, axes: NDArray[np.intp], valu
         return
     vector = np.array((0.0, 0.0, 0.0) if kind == ROTATION else own)
     vector[axes] = values
-    value = rotated(holder.rotation_mode, vector) if kind == ROTATION else vector.tolist()
+    value = turned(holder, vector, own) if kind == ROTATION else vector.tolist()
     setattr(holder, _attribute(holder, kind), value)
+
+
+def has_locked_angles(holder: Holder) -> bool:
+    """Return whether some Euler angles of a control are locked: a rotation vector would change these, too."""
+    return holder.rotation_mode not in ROTATIONS and any(holder.lock_rotation)
+
+
+def _locked(holder: Holder) -> NDArray[np.bool_]:
+    return np.array(holder.lock_rotation[:], dtype=bool)
+
+
+def turned(
+    holder: Holder, vector: FloatArray, own: Sequence[float], before: Sequence[float] | None = None
+) -> tuple[float, ...]:
+    """Return the value of the rotation of a control that turns it by a rotation vector (3,), near the one before.
+
+    With locked Euler angles, which keep the value that they have in `own`, the vector has the other angles.
+    """
+    if has_locked_angles(holder):
+        return tuple(np.where(_locked(holder), np.asarray(own), vector).tolist())
+    return rotated(holder.rotation_mode, vector, before)
 
 
 def rotated(mode: str, vector: FloatArray, before: Sequence[float] | None = None) -> tuple[float, ...]:
