@@ -196,10 +196,25 @@ def _contents(holder: Holder, paths: Collection[str]) -> dict[tuple[str, int], s
     found = {}
     for curve in curves_in(holder):
         if curve.data_path in paths:
-            points = np.empty(2 * len(curve.keyframe_points), dtype=np.float32)
-            curve.keyframe_points.foreach_get("co", points)
-            found[curve.data_path, curve.array_index] = f"{crc32(points.tobytes()):08x}"
+            found[curve.data_path, curve.array_index] = content_of(curve)
     return found
+
+
+def content_of(curve: bpy.types.FCurve) -> str:
+    """Return a checksum of the keyframes of a curve, and of a driver's expression and variables."""
+    points = np.empty(2 * len(curve.keyframe_points), dtype=np.float32)
+    curve.keyframe_points.foreach_get("co", points)
+    sum_of_points = crc32(points.tobytes())
+    if (driver := curve.driver) is None:
+        return f"{sum_of_points:08x}"
+    variables = [(one.name, one.type, *(target.data_path for target in one.targets)) for one in driver.variables]
+    return f"{crc32(repr((driver.type, driver.expression, variables)).encode(), sum_of_points):08x}"
+
+
+def content_of_track(track: bpy.types.NlaTrack) -> str:
+    """Return a checksum of where the strips of a track are, and of what they play."""
+    places = [(strip.frame_start, strip.frame_end, strip.blend_type, action_name(strip)) for strip in track.strips]
+    return f"{crc32(repr(places).encode()):08x}"
 
 
 def disown_paths(holder: Holder) -> None:

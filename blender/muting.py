@@ -5,13 +5,15 @@ from __future__ import annotations
 import re
 from collections.abc import Collection, Iterable
 from contextlib import ExitStack
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import bpy
 
 from .fcurves import (
     Holder,
     action_name,
+    content_of,
+    content_of_track,
     curves_in,
     drivers_of,
     is_baked,
@@ -195,17 +197,44 @@ def drivers_of_before(owner: bpy.types.ID) -> list[bpy.types.FCurve]:
 
 
 def _lines(owner: bpy.types.ID) -> list[list[str]]:
-    """Return what bakes muted of `owner`: kinds, and data paths or names."""
-    return [line.split(" ", 1) for line in str(owner.get(MUTED_PROPERTY, "")).split("\n") if line]
+    """Return what bakes muted of `owner`: kinds, and data paths or names, as they are now if they were changed."""
+    rows = [line.split(" ", 1) for line in str(owner.get(MUTED_PROPERTY, "")).split("\n") if line]
+    lines = [(kind, *text.partition("\t")[::2]) for kind, text in rows]  # earlier versions noted no content
+    there = _muted(owner) if any(content for *_, content in lines) else {}
+    if all((kind, name) in there for kind, name, content in lines if content):
+        return [[kind, name] for kind, name, _ in lines]
+    left = {place: _content(muted) for place, muted in there.items() if place not in {line[:2] for line in lines}}
+    found = []
+    for kind, name, content in lines:
+        renamed = [other for (same, other), mark in left.items() if same == kind and mark == content]
+        found.append([kind, renamed[0] if content and (kind, name) not in there and renamed else name])
+    return found
+
+
+_Muted = list[Any]
+"""Muted curves or drivers of a data path, or a track."""
+
+
+def _muted(owner: bpy.types.ID) -> dict[tuple[str, str], _Muted]:
+    """Return the muted curves, drivers and tracks of `owner` by kind, and data path or name."""
+    found: dict[tuple[str, str], _Muted] = {}
+    for kind, curves in ((_CURVE, curves_in(owner.animation_data)), (_DRIVER, drivers_of(owner))):
+        for curve in curves:
+            if curve.mute:
+                found.setdefault((kind, curve.data_path), []).append(curve)
+    return found | {(_TRACK, track.name): [track] for track in tracks_of(owner) if track.mute}
+
+
+def _content(muted: _Muted) -> str:
+    """Return a checksum of what has a data path or name."""
+    return "".join(content_of(one) if isinstance(one, bpy.types.FCurve) else content_of_track(one) for one in muted)
 
 
 def _noted(owner: bpy.types.ID, muted: list[tuple[str, str, str]]) -> list[Silenced]:
     """Note what was muted, so that the next bake finds it again, and return it."""
     if muted:
-        lines = [
-            *filter(None, str(owner.get(MUTED_PROPERTY, "")).split("\n")),
-            *(f"{kind} {path}" for kind, path, _ in muted),
-        ]
+        there, rows = _muted(owner), [*_lines(owner), *([kind, path] for kind, path, _ in muted)]
+        lines = (f"{kind} {path}\t{_content(there.get((kind, path), []))}".rstrip("\t") for kind, path in rows)
         owner[MUTED_PROPERTY] = "\n".join(dict.fromkeys(lines))
     return _silenced(muted)
 

@@ -13,19 +13,35 @@ import bpy
 
 from .actions import baked_paths
 from .characters import members_of
-from .fcurves import action_name, curves_in, drivers_of, find_curve, slot_handle, tracks_of_bakes
+from .fcurves import (
+    Holder,
+    action_name,
+    content_of,
+    content_of_track,
+    curves_in,
+    drivers_of,
+    find_curve,
+    slot_handle,
+    tracks_of,
+    tracks_of_bakes,
+)
 from .meshes import mesh_of
 from .muting import drivers_of_before
 from .names import ASIDE_PROPERTY
 
 Item = list[Any]
-"""Kind, what identifies the item, and for some kinds the values to restore; JSON."""
+"""Kind, what identifies the item, and for some kinds the values to restore; JSON.
+
+Curves, drivers and tracks also have a checksum, and keys a place, by which those are found that were renamed meanwhile.
+"""
+_FIXED = {"key": 1, "curve": 4, "driver": 2, "released": 2, "track": 1}
+"""How many values identify an item of a kind before it is renamed."""
 
 
 def bake_of(owner: bpy.types.ID) -> list[Item]:
     """Return the curves and tracks that a bake wrote for `owner`."""
     baked = baked_paths(owner)
-    return [*curves_of(owner, baked.__contains__), *(["track", track.name] for track in tracks_of_bakes(owner))]
+    return [*curves_of(owner, baked.__contains__), *map(track_item, tracks_of_bakes(owner))]
 
 
 def bake_of_keys(owner: bpy.types.Key) -> list[Item]:
@@ -36,8 +52,8 @@ def bake_of_keys(owner: bpy.types.Key) -> list[Item]:
     before = drivers_of_before(owner)
     moved = baked_paths(owner).difference(driver.data_path for driver in before)
     names = [key.name for key in owner.key_blocks if key.path_from_id("value") in moved]
-    released = (["released", driver.data_path, driver.array_index] for driver in before)
-    return [*bake_of(owner), *keys(names), *released]
+    released = (["released", *driver_item(driver)[1:]] for driver in before)
+    return [*bake_of(owner), *keys(owner, names), *released]
 
 
 @contextmanager
@@ -58,13 +74,9 @@ def without_bake(head: bpy.types.Object) -> Iterator[None]:
 
 def driver_mutes(owner: bpy.types.ID) -> dict[tuple[str, int], bool]:
     """Return whether each driver of `owner` is muted by the user, and not only by a bake or a session."""
-    items, before = listed(owner), drivers_of_before(owner)
-    return {
-        (curve.data_path, curve.array_index): curve.mute
-        and curve not in before
-        and ["driver", curve.data_path, curve.array_index] not in items
-        for curve in drivers_of(owner)
-    }
+    others = drivers_of_before(owner)
+    others += [find(owner, kind, which) for kind, *which in listed(owner) if kind == "driver"]
+    return {(curve.data_path, curve.array_index): curve.mute and curve not in others for curve in drivers_of(owner)}
 
 
 def curves_of(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
@@ -72,12 +84,23 @@ def curves_of(owner: bpy.types.ID, wanted: Callable[[str], bool]) -> list[Item]:
     if (data := owner.animation_data) is None:
         return []
     start = ["curve", action_name(data), slot_handle(data)]
-    return [[*start, curve.data_path, curve.array_index] for curve in curves_in(data) if wanted(curve.data_path)]
+    chosen = [curve for curve in curves_in(data) if wanted(curve.data_path)]
+    return [[*start, curve.data_path, curve.array_index, content_of(curve)] for curve in chosen]
 
 
-def keys(names: Iterable[str]) -> list[Item]:
-    """Return shape keys by name; their owner is the data-block of keys."""
-    return [["key", name] for name in names]
+def driver_item(driver: bpy.types.FCurve) -> Item:
+    """Return the item of a driver."""
+    return ["driver", driver.data_path, driver.array_index, content_of(driver)]
+
+
+def track_item(track: bpy.types.NlaTrack) -> Item:
+    """Return the item of an NLA track."""
+    return ["track", track.name, content_of_track(track)]
+
+
+def keys(owner: bpy.types.Key, names: Iterable[str]) -> list[Item]:
+    """Return items of shape keys by name."""
+    return [["key", name, owner.key_blocks.find(name)] for name in names]
 
 
 def switch(owner: bpy.types.ID, item: Item, *, aside: bool) -> bool:
@@ -91,18 +114,48 @@ def switch(owner: bpy.types.ID, item: Item, *, aside: bool) -> bool:
 
 
 def find(owner: bpy.types.ID, kind: str, which: list[Any]) -> Any:
-    """Return a curve, driver, track or shape key; None if it was removed."""
+    """Return a curve, driver, track or shape key, also after it was renamed; None if it was removed."""
+    fixed, more = which[: _FIXED[kind]], which[_FIXED[kind] :]
+    found = _named(owner, kind, fixed)
+    return _renamed(owner, kind, fixed, more[0]) if found is None and more else found
+
+
+def _named(owner: bpy.types.ID, kind: str, fixed: list[Any]) -> Any:
+    """Find an item by its name or data path."""
     if kind == "key":
         assert isinstance(owner, bpy.types.Key)
-        return owner.key_blocks.get(which[0])
+        return owner.key_blocks.get(fixed[0])
     if kind == "curve":
-        action = bpy.data.actions.get(which[0])
-        return None if action is None else find_curve(action, *which[1:])
+        name, *place = fixed
+        played = [holder.action for holder in _holders(owner)]
+        curves = [find_curve(action, *place) for action in (bpy.data.actions.get(name), *played) if action is not None]
+        return next((curve for curve in curves if curve is not None), None)
     if (data := owner.animation_data) is None:
         return None
+    return data.nla_tracks.get(fixed[0]) if kind == "track" else data.drivers.find(fixed[0], index=fixed[1])
+
+
+def _renamed(owner: bpy.types.ID, kind: str, fixed: list[Any], mark: Any) -> Any:
+    """Find an item that has another name or data path now by what does not change with these."""
+    if kind == "key":
+        assert isinstance(owner, bpy.types.Key)
+        key = owner.key_blocks[mark] if 0 <= mark < len(owner.key_blocks) else None
+        return None if key is None or ["key", key.name] in [item[:2] for item in listed(owner)] else key
+    known = [item[1 : 1 + _FIXED[kind]] for item in listed(owner) if item[0] == kind]
     if kind == "track":
-        return data.nla_tracks.get(which[0])
-    return data.drivers.find(which[0], index=which[1])
+        tracks = [track for track in tracks_of(owner) if [track.name] not in known]
+        return next((track for track in tracks if content_of_track(track) == mark), None)
+    index = fixed[-1]
+    paths = {tuple(one[-2:]) for one in known}
+    curves = drivers_of(owner) if kind != "curve" else [one for holder in _holders(owner) for one in curves_in(holder)]
+    left = [one for one in curves if one.array_index == index and (one.data_path, index) not in paths]
+    return next((one for one in left if content_of(one) == mark), None)
+
+
+def _holders(owner: bpy.types.ID) -> list[Holder]:
+    """Return what plays actions of a data-block: itself, and strips."""
+    strips = [strip for track in tracks_of(owner) for strip in track.strips]
+    return [holder for holder in (owner.animation_data, *strips) if holder is not None]
 
 
 def listed(owner: bpy.types.ID) -> list[Item]:

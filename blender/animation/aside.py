@@ -22,7 +22,7 @@ from ..fcurves import (
 )
 from ..meshes import keys_of, mesh_of
 from ..names import ASIDE_PROPERTY, VALUES_PROPERTY
-from ..switching import Item, curves_of, find, listed, switch
+from ..switching import Item, curves_of, driver_item, find, listed, switch, track_item
 from .exporting import MODIFIER
 
 
@@ -66,8 +66,8 @@ def moving(owner: bpy.types.ID, prefixes: Sequence[str]) -> list[Item]:
     ]
     return [
         *curves_of(owner, lambda path: path.startswith(starts)),
-        *(["driver", driver.data_path, driver.array_index] for driver in driven),
-        *(["track", track.name] for track in tracks),
+        *map(driver_item, driven),
+        *map(track_item, tracks),
     ]
 
 
@@ -78,8 +78,9 @@ def values_aside(owner: bpy.types.ID, prefixes: Sequence[str], frame: float) -> 
     """
     values: dict[tuple[str, int], float] = {}
     starts, own, items = tuple(prefixes), owned_paths(owner.animation_data), listed(owner)
+    muted = [find(owner, "track", which) for kind, *which in items if kind == "track"]
     for track in tracks_of(owner):
-        if ["track", track.name] in items and (strip := _strip_at(track, frame)) is not None:
+        if track in muted and (strip := _strip_at(track, frame)) is not None:
             at = strip.action_frame_start + (frame - strip.frame_start) / strip.scale
             at = min(max(at, strip.action_frame_start), strip.action_frame_end)
             for curve in curves_in(strip):
@@ -143,4 +144,12 @@ def kept_values(keys: bpy.types.Key) -> dict[str, float]:
         values = json.loads(str(keys.get(VALUES_PROPERTY, "{}")))
     except ValueError:
         return {}
-    return {name: value for name, value in values.items() if isinstance(value, (int, float))}
+    found, blocks = {}, keys.key_blocks
+    for name, kept in values.items():
+        value, place = kept if isinstance(kept, list) and len(kept) == 2 else (kept, -1)  # earlier files have no place
+        there, now = isinstance(place, int) and 0 <= place < len(blocks), name
+        if name not in blocks and there and blocks[place].name not in values:
+            now = blocks[place].name  # it was renamed
+        if isinstance(value, (int, float)):
+            found[now] = float(value)
+    return found

@@ -84,15 +84,16 @@ class LiveValues:
             for number, name in enumerate(names)
             if name in blocks and value_path(name) not in following
         }
-        self._names = [names[number] for number in self._places.values()]
-        self._extended: dict[str, tuple[float, float]] = {}
+        self._extended: dict[int, tuple[float, float]] = {}
 
     def attach(self) -> None:
         """Remember the values, and set aside what animates or drives them."""
         blocks = self._keys.key_blocks
+        places = [place for place in self._places if place < len(blocks)]
         if VALUES_PROPERTY not in self._keys:
-            self._keys[VALUES_PROPERTY] = json.dumps({name: blocks[name].value for name in self._names})
-        set_aside(self._keys, moving(self._keys, [value_path(name) for name in self._names]))
+            kept = {blocks[place].name: [blocks[place].value, place] for place in places}
+            self._keys[VALUES_PROPERTY] = json.dumps(kept)
+        set_aside(self._keys, moving(self._keys, [value_path(blocks[place].name) for place in places]))
 
     def write(self, values: NDArray[Any]) -> None:
         """Set the values, (K,) in the order of the names."""
@@ -113,7 +114,7 @@ class LiveValues:
         for place, number in self._places.items():
             if not 0.0 <= values[number] <= 1.0:
                 block = self._keys.key_blocks[place]
-                self._extended.setdefault(block.name, (block.slider_min, block.slider_max))
+                self._extended.setdefault(place, (block.slider_min, block.slider_max))
                 make_room(block, float(values[number]))
 
     def detach(self, *, keep: bool) -> None:
@@ -124,9 +125,10 @@ class LiveValues:
             self._keys.pop(VALUES_PROPERTY, None)
         clear_values(self._keys)
         if not keep:
-            for name, ends in self._extended.items():
-                if (block := self._keys.key_blocks.get(name)) is not None:
-                    block.slider_min, block.slider_max = ends
+            blocks = self._keys.key_blocks
+            for place, ends in self._extended.items():
+                if place < len(blocks):
+                    blocks[place].slider_min, blocks[place].slider_max = ends
         restore(self._keys)
 
 

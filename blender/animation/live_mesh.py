@@ -72,7 +72,7 @@ class LiveMesh:
             baked = baked_paths(own) if values is None else set()
             names = [key.name for key in own.key_blocks if key.name.startswith(BAKED_KEY_PREFIX)]
             names += [key.name for key in own.key_blocks if value_path(key.name) in baked]
-            set_aside(own, keys(name for name in dict.fromkeys(names) if name != LIVE_KEY))
+            set_aside(own, keys(own, [name for name in dict.fromkeys(names) if name != LIVE_KEY]))
             set_aside(own, bake_of_keys(own) if by_rig else ())
         if values is not None:
             values.attach()
