@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any
@@ -22,6 +23,8 @@ from ..own_pose import path_of as prefix_in_path
 _MECHANISM = ("DEF-", "ORG-", "MCH-", "VIS_")
 """Beginnings of the names of bones that Rigify and others do not mean for animators."""
 _AXES = "xyz"
+_BONE = re.compile(r'pose\.bones\["((?:[^"\\]|\\.)*)"\]')
+"""Beginning of the data path of a bone's property."""
 _MOST = 1e4
 """Range above which a property has none."""
 
@@ -31,10 +34,18 @@ def owners_of(head: bpy.types.Object) -> list[bpy.types.Object]:
 
     They come in the order in which the character uses them, which is the same on a copy, whatever their names are.
     """
-    meshes = [member.obj for member in members_of(head)]
-    deforming = _deforming(meshes)
-    keys = [block for block in (mesh_of(obj).shape_keys for obj in meshes) if block is not None]
-    return list(dict.fromkeys([*deforming, *_driving([*keys, *deforming])]))
+    deforming = _deforming(_meshes(head))
+    return list(dict.fromkeys([*deforming, *(obj for obj, _ in _driving(head, deforming))]))
+
+
+def driving_controls(head: bpy.types.Object) -> set[tuple[str, str]]:
+    """Return the objects and bones whose values drive shape keys or the armatures of a head: names, "" for no bone."""
+    found = set()
+    for obj, target in _driving(head, _deforming(_meshes(head))):
+        named = _BONE.match(target.data_path)
+        bone = target.bone_target or ("" if named is None else bpy.utils.unescape_identifier(named[1]))
+        found.add((obj.name, bone))
+    return found
 
 
 def require_animatable(obj: bpy.types.Object) -> None:
@@ -58,12 +69,17 @@ def _deforming(meshes: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
     return list(dict.fromkeys(obj for obj in found if obj is not None))
 
 
-def _driving(driven: Sequence[bpy.types.ID]) -> Iterator[bpy.types.Object]:
-    """Yield the objects whose values drive shape keys or armatures."""
-    for owner in driven:
+def _driving(
+    head: bpy.types.Object, deforming: Sequence[bpy.types.Object]
+) -> Iterator[tuple[bpy.types.Object, bpy.types.DriverTarget]]:
+    """Yield the objects whose values drive the shape keys or armatures of a head, and which value it is."""
+    keys = [block for block in (mesh_of(obj).shape_keys for obj in _meshes(head)) if block is not None]
+    for owner in (*keys, *deforming):
         for curve in sorted(drivers_of(owner), key=lambda curve: (curve.data_path, curve.array_index)):
             for variable in curve.driver.variables if curve.driver is not None else ():
-                yield from (target.id for target in variable.targets if isinstance(target.id, bpy.types.Object))
+                for target in variable.targets:
+                    if isinstance(target.id, bpy.types.Object):
+                        yield target.id, target
 
 
 def channels_of(head: bpy.types.Object) -> list[RigChannel]:

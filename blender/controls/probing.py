@@ -16,7 +16,7 @@ from ...core.numeric.arrays import FloatArray
 from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, RigChannel, RigMap, even_probes, map_of
 from ..rigs import read_rig
 from ..switching import without_bake
-from .finding import channels_of, require_deforming
+from .finding import channels_of, driving_controls, require_deforming
 from .setting import ControlValues
 from .view import PosedFace, Seen
 
@@ -24,6 +24,10 @@ _FIRST = {LOCATION: 0.05, ROTATION: np.radians(6.0), SCALE: 0.5}
 """First step of a channel without limits, in eye distances, radians, and shares of the size; a scale has no other."""
 _WANTED = (0.04, 0.16)
 """Largest motion of the face by which a channel is judged, in eye distances; steps are changed to reach it."""
+_FARTHER = 10.0
+"""Factor of the step of what drives something, as long as nothing moves: sliders are as long as their makers like."""
+_MORE_TRIES = 4
+"""Further steps of what drives something: up to 500 eye distances."""
 _MIDDLE = 0.1
 """Motion that is aimed at."""
 _TRIES = 3
@@ -64,7 +68,7 @@ class Learning:
             raise
 
     def _begin(self, head: bpy.types.Object) -> None:
-        self.channels = channels_of(head)
+        self.channels, self._driving = channels_of(head), driving_controls(head)
         self.done, self.total = 0, len(self.channels)
         self._values = ControlValues(self.channels)
         self._view = PosedFace(head, read_rig(head))
@@ -113,6 +117,8 @@ class Learning:
 
     def _touches(self, numbers: list[int]) -> bool:
         """Return whether a control serves if all its channels of a kind are moved at once."""
+        if all(self._drives(self.channels[number]) for number in numbers):
+            return True
         values = np.zeros(self.total)
         for number in numbers:
             channel = self.channels[number]
@@ -121,8 +127,12 @@ class Learning:
         moved = self._look(values).face - self._rest.face
         return _size(moved) > _STILL * self._view.unit and _serves(self.channels[numbers[0]].kind, moved)
 
+    def _drives(self, channel: RigChannel) -> bool:
+        """Return whether a channel is a location that drives something."""
+        return channel.kind == LOCATION and (channel.owner, channel.bone) in self._driving
+
     def _probe(self, number: int) -> list[Probe]:
-        """Move a channel in both directions, as far as it can."""
+        """Move a channel in both directions, as far as it can; nothing if neither moves the face alone."""
         found: list[Probe] = []
         channel = self.channels[number]
         for sign, limit in ((1.0, channel.high), (-1.0, -channel.low)):
@@ -133,22 +143,25 @@ class Learning:
             if probe is None:
                 return []
             found.append(probe)
-        return found
+        return found if any(_size(probe.moved) >= _STILL * self._view.unit for probe in found) else []
 
     def _moved(self, number: int, sign: float, step: float, limit: float) -> Probe | None:
-        """Move a channel in one direction; None if it moves nothing here, or head, ears or eyes as well."""
+        """Move a channel in one direction; None if it moves head, ears or eyes as well."""
         channel, values = self.channels[number], np.zeros(self.total)
         tries = 1 if channel.kind == SCALE or (np.isfinite(limit) and channel.kind != ROTATION) else _TRIES
-        for left in reversed(range(tries)):
+        farther = _MORE_TRIES if self._drives(channel) and tries > 1 else 0
+        for left in reversed(range(tries + farther)):
             values[number] = sign * step
             seen = self._look(values)
             moved = seen.face - self._rest.face
             size = _size(moved) / self._view.unit
+            if size < _STILL and left and farther:
+                farther, step = farther - 1, step * _FARTHER
+                continue
             if size < _STILL or not left or self._is_elsewhere(seen) or _WANTED[0] <= size <= _WANTED[1]:
                 break
             step = min(step * float(np.clip(_MIDDLE / size, 0.1, 10.0)), limit)
-        still = size < _STILL and tries > 1
-        if still or not np.isfinite(moved).all() or self._is_elsewhere(seen):
+        if not np.isfinite(moved).all() or self._is_elsewhere(seen):
             return None
         if channel.kind == ROTATION and not _turns_jaw(moved):
             return None
@@ -157,7 +170,7 @@ class Learning:
     def _is_elsewhere(self, seen: Seen) -> bool:
         """Return whether the head, an ear, the neck or an eye has moved, rather than the face alone."""
         rest, unit = self._rest, self._view.unit
-        if _size(seen.outside - rest.outside) > _OTHERS * _size(seen.inside - rest.inside):
+        if _size(seen.outside - rest.outside) > max(_OTHERS * _size(seen.inside - rest.inside), _STILL * unit):
             return True
         return _size(seen.eyes - rest.eyes) > _EYES * unit or not np.allclose(seen.head, rest.head, atol=1e-3)
 

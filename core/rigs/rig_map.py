@@ -202,8 +202,8 @@ def map_of(channels: Sequence[RigChannel], probes: Sequence[Sequence[Probe]], sa
     kept: list[RigChannel] = []
     rows: list[tuple[int, float, FloatArray, float, float, float]] = []
     for channel, probed in zip(channels, probes, strict=True):
-        doubt = _difference(*probed) if len(probed) == 2 and _is_free(channel) else 0.0
         variables = [_variable(channel, probe) for probe in probed if _acts(probe, unit)]
+        doubt = _difference(*probed) if len(variables) == 2 and _is_free(channel) else 0.0
         if len(variables) == 2 and _difference(*probed) < _SYMMETRIC:
             variables = [_joined(*variables)]
         rows += [(len(kept), *variable, doubt) for variable in variables]
