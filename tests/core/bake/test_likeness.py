@@ -108,15 +108,17 @@ def test_lips_that_part_over_clenched_teeth_open_the_jaw_less_than_a_jaw_that_dr
 
 
 @pytest.mark.parametrize("amount", [0.2, 0.5])
-def test_jaws_whose_teeth_are_shut_stay_shut_and_the_lips_part_without_them(units, amount):
+def test_jaws_whose_teeth_are_shut_open_less_and_the_lips_part_without_them(units, amount):
     jaw, moved = COEFFICIENT_INDEX["jawOpen"], acted(jawOpen=amount) @ units
     loose, unknown, half, shut = (
         alike(acted(jawOpen=amount), moved, teeth)[0]
         for teeth in (None, np.array([np.nan]), np.array([0.5]), np.array([1.0]))
     )
     np.testing.assert_array_equal(unknown, loose)
-    assert half[jaw] == pytest.approx(0.5 * loose[jaw]) and shut[jaw] == shut[COEFFICIENT_INDEX["mouthClose"]] == 0.0
+    assert half[jaw] == pytest.approx(0.625 * loose[jaw]) and shut[jaw] == pytest.approx(0.25 * loose[jaw])
     assert lip_gap(shut @ units) > 0.5 * lip_gap(loose @ units)
+    rounded = [COEFFICIENT_INDEX["mouthFunnel"], COEFFICIENT_INDEX["mouthPucker"]]
+    assert (shut[rounded] <= loose[rounded]).all()
 
 
 def lip_gap(moved: np.ndarray) -> float:
