@@ -103,7 +103,7 @@ def _found(image: NDArray[np.uint8]) -> FittedShape | None:
         seen = np.ascontiguousarray(image[:, ::-1]) if flipped else image
         found = max(search.detect(seen, _STEPS), key=lambda c: c.confidence, default=None)
         if found is not None:
-            fitted = found.fit.fitted
+            fitted = search.fitter.refine(seen, found.fit).fitted
             return FittedShape(fitted.pose * _MIRRORED_POSE + _SHIFT, np.zeros(pdm.n_modes)) if flipped else fitted
     return None
 
