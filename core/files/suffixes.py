@@ -1,4 +1,7 @@
-"""Suffixes of videos, by which folders are searched and file browsers show files. Those of others can be read, too."""
+"""Suffixes of videos, by which folders are searched and file browsers show files.
+
+Files with other suffixes can be read, too.
+"""
 
 VIDEO_SUFFIXES = frozenset(
     {

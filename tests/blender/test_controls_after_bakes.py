@@ -16,6 +16,7 @@ from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.sessions.show import TakeShow, follow_settings
 from tests.helpers.face_rigs import bake, show
 from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 FRAMES = (20, 30, 40)
@@ -53,7 +54,7 @@ def character(request, rigged):
     return head
 
 
-@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("nla", first_of([False, True]))
 def test_the_same_controls_are_learnt_after_a_bake_to_keys(character, nla):
     before = learn_controls(character)
     bake_keys(character, nla=nla)

@@ -10,6 +10,7 @@ from facemime.blender.controls.stored import write_controls
 from facemime.blender.fcurves import curves_in
 from facemime.core.rigs.rig_map import ROTATION
 from tests.helpers.face_rigs import bake, show, state
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 OPENING, ALONG, SIDEWAYS = 0, 1, 2
@@ -37,7 +38,7 @@ def angles(bone):
     return np.array(bone.rotation_euler)
 
 
-@pytest.mark.parametrize("locked", [(ALONG,), (SIDEWAYS,), (ALONG, SIDEWAYS)])
+@pytest.mark.parametrize("locked", first_of([(ALONG, SIDEWAYS), (ALONG,), (SIDEWAYS,)]))
 def test_a_jaw_opens_about_the_axes_that_are_free(rigged, hinge, locked):
     head, _ = rigged
     for axis in locked:

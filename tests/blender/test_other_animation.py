@@ -17,6 +17,7 @@ from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.curves import curves_of
 from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 FRAMES = (1, 20, 40)
 
@@ -91,7 +92,7 @@ def plain():
     return values_of(head)
 
 
-@pytest.mark.parametrize("nla", [False, True])
+@pytest.mark.parametrize("nla", first_of([False, True]))
 @pytest.mark.parametrize("moved", [_curves, _strip, _solo, _added_action, _driver])
 def test_a_bake_mutes_what_moves_its_keys_and_its_removal_lets_it_play_again(moved, nla, plain):
     head = add_head(bpy.context, units=True)
@@ -172,7 +173,7 @@ def _still(head):
         key.keyframe_insert("value", frame=frame)
 
 
-@pytest.mark.parametrize("start", [37, 1001])
+@pytest.mark.parametrize("start", first_of([37, 1001]))
 @pytest.mark.parametrize(
     ("moved", "settings"),
     [(None, {"nla": True}), (_still, {}), (_muted_curve, {}), (_still, {"keep_animation": True})],

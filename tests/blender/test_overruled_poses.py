@@ -10,6 +10,7 @@ from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.sessions.show import TakeShow
 from tests.helpers.characters import make_character
 from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 
 def warnings_of(head, **settings):
@@ -46,7 +47,7 @@ def test_rest_position_is_said(rigged):
 
 
 @pytest.mark.parametrize("kind", ["TRACK_TO", "COPY_ROTATION", "DAMPED_TRACK", "COPY_TRANSFORMS", "LIMIT_ROTATION"])
-@pytest.mark.parametrize("of_bone", [True, False])
+@pytest.mark.parametrize("of_bone", first_of([True, False]))
 def test_a_constraint_over_the_pose_is_named(kind, of_bone, rigged):
     head, owner = (rigged[0], rigged[1].pose.bones["Head"]) if of_bone else [add_head(bpy.context)] * 2
     constraint = owner.constraints.new(kind)
