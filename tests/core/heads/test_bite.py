@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from facemime.core.heads.bite import bite_between, bite_of
-from facemime.core.heads.rig import built_in_head
+from facemime.core.heads.built_in import load_head
+from facemime.core.heads.rig import FaceParts, Part, built_in_head
 
 HINGE = np.array([0.0, 0.0, 1.0])
 
@@ -43,3 +46,12 @@ def test_teeth_far_below_do_not_rise_more_than_a_tenth() -> None:
 
 def test_the_teeth_of_the_built_in_heads_which_their_rigs_lack_are_known() -> None:
     assert bite_of(built_in_head()) == bite_of(built_in_head(lashes=True)) > 0.0
+
+
+def test_teeth_of_a_rig_without_upper_ones_rise_to_the_upper_lip() -> None:
+    head, rig = load_head(), built_in_head()
+    teeth = head.part("teeth_lower")
+    kinds = np.repeat([Part.SKIN, Part.TEETH_LOWER], [len(head.vertices), len(teeth.vertices)]).astype(np.int8)
+    faces = np.where(teeth.faces < 0, -1, teeth.faces + len(head.vertices))
+    alone = replace(rig, parts=FaceParts(kinds, teeth.vertices, faces))
+    assert bite_of(alone) == pytest.approx(bite_of(rig), rel=0.2)
