@@ -78,7 +78,7 @@ class FaceReader:
                 shape, landmarks = bared, project_shape(bared, pose)
         timings["teeth"] += perf_counter() - refined
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
-            shape, landmarks = held, project_shape(held, pose)
+            shape, landmarks, teeth = held, project_shape(held, pose), nan
         actions, places = run_networks() if begun is None else begun.result()
         told = perf_counter()
         gaze = find_gaze(pupils.refine(band, places), pose, landmarks, shape)

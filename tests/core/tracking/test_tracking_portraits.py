@@ -96,6 +96,7 @@ def test_a_mouth_behind_a_hand_keeps_its_shape_and_recovers_in_the_next_frame(tr
     covered = [tracker.track(with_a_hand(image, before.landmarks)) for _ in range(5)]
     assert all(result.found and is_hidden(result.landmark_confidence) for result in covered)
     assert max(abs(result.mouth_aperture - before.mouth_aperture) for result in covered) < 0.02
+    assert np.isfinite(before.teeth) and np.isnan([result.teeth for result in covered]).all()
     again = [tracker.track(image) for _ in range(2)][-1]
     assert not is_hidden(again.landmark_confidence)
     assert np.linalg.norm(again.landmarks - before.landmarks, axis=1).mean() < 0.01 * outer_eye_distance(
