@@ -13,6 +13,7 @@ from ..errors import Message, SourceError
 from ..files.capture import PICTURE_RATE, PictureSource, VideoSource, open_video
 from ..files.closing import Closing
 from ..files.media_headers import last_image
+from ..tracking.cuts import CutDetector
 from ..tracking.people import PeopleTracker
 from ..tracking.result import TrackResult
 from ..tracking.rivals import WATCHED
@@ -47,7 +48,7 @@ def track_video(
     Parameters
     ----------
     path : path-like
-        The video, or a folder with its frames as pictures.
+        The video, or a folder with its frames as pictures, or with photographs.
     tracker : FaceTracker, optional
         The tracker, which is reset at the start; by default a new one with the shipped model.
     on_frame : callable, optional
@@ -87,12 +88,17 @@ def track_video(
         stack.enter_context(source)
         recorder = stack.enter_context(_Recorder({}, output))
         tracker.reset()
-        if face is None:
-            face = _performer(tracker, Path(path), rate)
-        if face is not None:
-            tracker.choose(*face)
+        first = _performer(tracker, Path(path), rate) if face is None else face
+        if first is not None:
+            tracker.choose(*first)
+        cuts = CutDetector() if isinstance(source, PictureSource) else None
         try:
             for frame in source:
+                # Pictures may be unrelated photographs, so that nobody is awaited in the next one.
+                if cuts is not None and cuts.is_cut(frame.image):
+                    tracker.reset()
+                    if face is not None:
+                        tracker.choose(*face)
                 if len(recorder) == 0:
                     height, width = frame.image.shape[:2]
                     recorder.note(**describe(source.path.name, source.fps, (width, height), tracker.model_id))

@@ -7,11 +7,11 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ..numeric.arrays import FloatArray
+from .cuts import CutDetector
 from .grey import Grey, whole
 from .identity import blended, describe_face
 from .pdm import FittedShape
@@ -45,11 +45,6 @@ _LEARNING_RATE = 0.2
 """Share of the newest descriptor in the remembered one."""
 _SAME_FACE = 1.0
 """Distance in eye distances within which two fits are of one face. Faces side by side are 1.5 apart or more."""
-_CUT = 0.8
-"""Correlation of two small images below which there was a cut between them. In 23 of 24 clips of strangers it is never
-below 0.87, in the other at its three cuts only; images of different clips have less than 0.63 in 99 % of the pairs."""
-_SMALL = 32
-"""Side of these images in pixels."""
 _MOST = 8
 """Largest number of people who are followed at a time."""
 _HELD = 5.0
@@ -99,7 +94,7 @@ class PeopleTracker:
         self._frame = -1
         self._misses = 0
         self._cut = -1
-        self._small: NDArray[np.float32] | None = None
+        self._cuts = CutDetector()
 
     @property
     def n_modes(self) -> int:
@@ -118,7 +113,7 @@ class PeopleTracker:
         """
         grey = self._tracker.begin(image)
         self._frame += 1
-        if self._is_cut(grey):  # nobody stays where they were
+        if self._cuts.is_cut(whole(grey)):  # nobody stays where they were
             self._cut, self._misses = self._frame, 0
             for person in self._people:
                 person.last = None
@@ -138,14 +133,6 @@ class PeopleTracker:
             results[person.number] = result = self._tracker.read(grey, candidate, person.mouth)
             person.last = FittedShape(result.pose, result.shape_params)
         return results
-
-    def _is_cut(self, grey: Grey) -> bool:
-        """Whether another scene begins with this frame."""
-        small = cv2.resize(whole(grey), (_SMALL, _SMALL), interpolation=cv2.INTER_AREA).astype(np.float32).ravel()
-        small -= small.mean()
-        small /= max(float(np.linalg.norm(small)), 1e-3)
-        before, self._small = self._small, small
-        return before is not None and float(before @ small) < _CUT
 
     def _followed(self, grey: Grey) -> dict[int, Candidate]:
         """Fits near those of the previous frame that are faces, by the number of the person."""

@@ -5,11 +5,17 @@ from __future__ import annotations
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 
 from facemime.cli import main as cli
+from facemime.core.files.capture import read_image
 from facemime.core.takes.file import load_take
+from facemime.core.takes.from_video import track_video
+from facemime.core.tracking.identity import LEFTMOST
 from tests.helpers.commands import SAMPLE
+
+PORTRAITS = Path(__file__).parents[2] / "data" / "portraits"
 
 
 @pytest.fixture(scope="module")
@@ -41,3 +47,18 @@ def test_nothing_is_said_of_a_whole_video(clip, tmp_path, capsys):
     assert cli.main(["track", str(clip), "-o", str(output)]) == 0
     assert len(load_take(output)) == 50 and "recovered" not in load_take(output).info
     assert "Missing" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("side", [None, LEFTMOST])
+def test_the_face_of_each_of_unrelated_photographs_is_found(tmp_path, side):
+    corners = [(0, 0), (500, 900), (0, 900), (500, 0), (250, 450), (0, 0)]
+    for number, (top, left) in enumerate(corners):
+        portrait = read_image(PORTRAITS / ("collins.jpg", "hopper.jpg")[number % 2])
+        small = cv2.resize(portrait, (400, 400 * portrait.shape[0] // portrait.shape[1]))[:400]
+        photograph = np.full((900, 1300, 3), 40 + 30 * number, np.uint8)
+        photograph[top : top + len(small), left : left + 400] = small
+        cv2.imwrite(str(tmp_path / f"{number}.png"), photograph)
+    take = track_video(tmp_path, face=side)
+    assert take.found.all()
+    for (top, left), pose in zip(corners, take.pose, strict=True):
+        assert left < pose[4] < left + 400 and top < pose[5] < top + 400
