@@ -125,7 +125,7 @@ def register() -> None:
 
 
 def _other_copy() -> str | None:
-    """Return the package of another copy of Facemime whose classes are registered; None if there is none."""
+    """Return the package of another copy of Facemime whose classes are registered, or None."""
     operator = getattr(bpy.types, puppet.FACEMIME_OT_puppet.__name__, None)
     module = str(getattr(operator, "__module__", ""))
     package = module.removesuffix(puppet.__name__.removeprefix(__package__))

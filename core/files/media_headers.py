@@ -16,8 +16,9 @@ import re
 import struct
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, TypeVar
 
+_T = TypeVar("_T")
 VIDEO, SOUND = "video", "sound"
 
 
@@ -157,15 +158,7 @@ def sound_lead(path: Path) -> float:
 
 def read_starts(path: Path) -> Starts:
     """Return the starts of the streams of a file, as far as they are known."""
-    try:
-        with path.open("rb") as file:
-            head = file.read(8)
-            size = file.seek(0, 2)
-            if head[:4] == _MATROSKA:
-                return _starts_of_matroska(file, size)
-            return _starts_of_mp4(file, size) if head[4:] in _MP4 else {}
-    except _FAULTS:
-        return {}
+    return _parsed(path, _starts_of_matroska, _starts_of_mp4, {})
 
 
 def last_image(path: Path) -> float | None:
@@ -213,15 +206,22 @@ def is_mirrored(path: Path) -> bool:
 
     Players mirror the stored images from top to bottom, and then rotate them by the angle that OpenCV states.
     """
+    return _parsed(path, _is_matroska_mirrored, _is_mp4_mirrored, False)
+
+
+def _parsed(
+    path: Path, of_matroska: Callable[[BinaryIO, int], _T], of_mp4: Callable[[BinaryIO, int], _T], otherwise: _T
+) -> _T:
+    """Return what a parser finds in a file, given its size; `otherwise` for a damaged one or another kind."""
     try:
         with path.open("rb") as file:
             head = file.read(8)
             size = file.seek(0, 2)
             if head[:4] == _MATROSKA:
-                return _is_matroska_mirrored(file, size)
-            return head[4:] in _MP4 and _is_mp4_mirrored(file, size)
+                return of_matroska(file, size)
+            return of_mp4(file, size) if head[4:] in _MP4 else otherwise
     except _FAULTS:
-        return False
+        return otherwise
 
 
 def _is_mp4_mirrored(file: BinaryIO, size: int) -> bool:

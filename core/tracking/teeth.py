@@ -48,7 +48,7 @@ _PARTED, _OPEN = 5.0, 8.0
 full: less is hardly seen, and a jaw is hardly open."""
 _DARK, _LIGHT = 0.5, 0.8
 """Lightness of the darkest row between the lips, relative to that of the lips, up to which there is a dark gap between
-the teeth, and from which there is none. This and the next were chosen on mouths of one half of the strangers' clips."""
+the teeth, and from which there is none. These and the next two were chosen on one half of the strangers' clips."""
 _TOOTH = 0.4, 0.55
 """Redness of what is between the lips, relative to theirs, up to which it is teeth, and from which it is a tongue, gums
 or lips."""

@@ -14,6 +14,8 @@ from facemime.core.tracking.teeth import bare_teeth
 from facemime.core.tracking.tracker import FaceTracker
 
 SKIN, LIPS, TEETH = (130, 160, 205), (95, 90, 180), (190, 205, 215)
+VIEWS = (st.floats(50.0, 160.0), st.floats(-0.6, 0.6), st.floats(-0.3, 0.3))
+"""Scales, rolls and yaws of a head."""
 DARK, TONGUE = (25, 20, 30), (90, 90, 175)
 """BGR."""
 SHAPE = FaceTracker.load().pdm.mean_shape.copy()
@@ -61,9 +63,7 @@ def shut(image: np.ndarray, pose: np.ndarray, top: float, bottom: float) -> floa
 @given(
     st.floats(-0.1, -0.02),
     st.floats(0.02, 0.11),
-    st.floats(50.0, 160.0),
-    st.floats(-0.6, 0.6),
-    st.floats(-0.3, 0.3),
+    *VIEWS,
 )
 def test_inner_rims_move_to_the_ends_of_the_teeth(
     top: float, bottom: float, scale: float, roll: float, yaw: float
@@ -120,9 +120,7 @@ def test_the_less_the_teeth_differ_from_lips_the_less_rims_move() -> None:
 @given(
     st.floats(-0.1, -0.06),
     st.floats(0.06, 0.11),
-    st.floats(50.0, 160.0),
-    st.floats(-0.6, 0.6),
-    st.floats(-0.3, 0.3),
+    *VIEWS,
 )
 def test_teeth_without_a_dark_gap_are_shut_and_others_are_not(
     top: float, bottom: float, scale: float, roll: float, yaw: float
