@@ -233,6 +233,17 @@ class FacePart:
         sides: IntArray = np.stack([self.landmarks, MIRROR[self.landmarks]][: 1 + self.paired])
         return sides
 
+    @cached_property
+    def _averages(self) -> FloatArray:
+        """Weights whose product with the landmarks is the centre of each side, (1 or 2, 66)."""
+        averages = np.zeros((len(self.sides), len(MIRROR)))
+        np.put_along_axis(averages, self.sides, 1.0 / len(self.landmarks), axis=1)
+        return averages
+
+    def centres(self, landmarks: FloatArray) -> FloatArray:
+        """Return the centre of the landmarks of each side, (1 or 2, 2), from all landmarks (66, 2)."""
+        return np.asarray(self._averages @ landmarks)
+
     def crops(self, grey: Grey, poses: Iterable[FloatArray]) -> NDArray[np.float32]:
         """Crop the standardised input (1 or 2, height, width) for each side, given its pose (6,) as for `crop_part`."""
         crops = np.empty((len(self.sides), *self.size[::-1]), np.float32)
@@ -252,16 +263,16 @@ class PartExperts(FacePart):
     """
 
     @cached_property
-    def brows(self) -> NDArray[np.bool_]:
-        """Which landmarks of each side are those of a brow, (1 or 2, n)."""
-        return np.isin(self.sides, BROWS)
-
-    @cached_property
-    def _averages(self) -> FloatArray:
-        """Weights whose product with the landmarks is the centre of each side, (1 or 2, 66)."""
-        averages = np.zeros((len(self.sides), len(MIRROR)))
-        np.put_along_axis(averages, self.sides, 1.0 / len(self.landmarks), axis=1)
-        return averages
+    def shares_of_brows(self) -> tuple[FloatArray, FloatArray] | None:
+        """Weights (1 or 2, n) whose products with a value of each map are its mean over each side's brow, and over the
+        rest of that side; None for a part without brows.
+        """
+        brows, sides = np.isin(self.sides, BROWS), len(self.sides)
+        if not brows.any():
+            return None
+        of_side = np.eye(sides, dtype=bool).repeat(self.sides.shape[1], axis=1)
+        of_brows, others = of_side & brows.ravel(), of_side & ~brows.ravel()
+        return of_brows / of_brows.sum(axis=1, keepdims=True), others / others.sum(axis=1, keepdims=True)
 
     @cached_property
     def _first_cell(self) -> FloatArray:
@@ -281,10 +292,6 @@ class PartExperts(FacePart):
         centres = self.centres(shape) - (0.0, higher)
         (maps,) = self.network(self.crops_at(grey, pose, centres))
         return self.read(maps, centres)
-
-    def centres(self, shape: FloatArray) -> FloatArray:
-        """Return the centres of the crops, (1 or 2, 2), for landmarks (66, 2); both in the face frame."""
-        return np.asarray(self._averages @ shape)
 
     def crops_at(self, grey: Grey, pose: FloatArray, centres: FloatArray) -> NDArray[np.float32]:
         """Crop the input of the network at the `centres`, in the face frame of `pose` (6,)."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import cached_property
 from math import inf
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, INNER, LIPS, MIRROR, N_LANDMARKS, NOSE
 from ..numeric.arrays import FloatArray
@@ -22,9 +23,9 @@ from .reference import pose_in_image
 
 _SIDE_YAW = 0.36
 """Yaw in radians beyond which the visibilities and patch experts of the side view are used."""
-_HALF_CERTAIN = 0.08
+HALF_CERTAIN = 0.08
 """`h` of equation 3.2 in eye distances: the standard deviation of a map at which its weight is halved."""
-_HALF_CERTAIN_GLANCE = 0.1
+HALF_CERTAIN_GLANCE = 0.1
 """`h` for the glance, in eye distances. Its maps are wider, as their cells are larger."""
 _SEEN = 0.65
 """Mean certainty below which a brow may lie above its crop, and above which its eye is where it is expected (section
@@ -89,11 +90,33 @@ class Fit:
         Features for `FaceCheck`.
     certainty : (66,) float64
         Certainty of each landmark, 0 to 1.
+    moved : float
+        Distance across or along the face by which a part has moved from the middle of the crop that its experts saw, in
+        eye distances of the start; that of the part that moved furthest, or 0 if the parts were not seen.
     """
 
     fitted: FittedShape
     features: FloatArray
     certainty: FloatArray
+    moved: float = 0.0
+
+
+@dataclass(frozen=True)
+class Look:
+    """Response maps, and the standard deviation of a map at which its weight is halved, `h` of equation 3.2."""
+
+    maps: ResponseMaps
+    half: float
+
+    @cached_property
+    def certainty(self) -> FloatArray:
+        """Certainty of each map (equation 3.2), (n,)."""
+        return np.asarray(self.half**2 / (self.half**2 + self.maps.moments[1]))
+
+    def distance(self, shape: FloatArray) -> FloatArray:
+        """Return the distances from the means of the maps to the landmarks `shape` (66, 2), (n,)."""
+        x, y = (self.maps.moments[0] - shape[self.maps.landmarks]).T
+        return np.asarray(np.hypot(x, y))
 
 
 class FaceFitter:
@@ -133,7 +156,7 @@ class FaceFitter:
     def follow(self, grey: Grey, last: FittedShape) -> Fit:
         """Fit a face from its fit in the previous frame, in one stage, or two if a part has moved far."""
         fit = self._fit_stage(grey, last, FINE)
-        if self._moved_far(last, fit.fitted):
+        if fit.moved > _REFIT_DISTANCE:
             fit = self._fit_stage(grey, fit.fitted, FINE)
         return fit
 
@@ -156,41 +179,42 @@ class FaceFitter:
         began = perf_counter()
         local = _in_face_frame(start)
         # 1. Response maps (3.3), in the face frame of the start.
-        face, log_odds, maps = self._look(grey, start.pose, local, parts=stage.parts)
+        before = self._fitted_pdm.project(local.pose, local.shape_params)
+        face, log_odds, parts = self._look(grey, start.pose, before if stage.parts else None)
         looked = perf_counter()
         # 2. Their weights: certainty (3.2) times visibility in this view.
         visible = self._visibility[_view(start.pose)]
-        certainty = _certainty(face, _HALF_CERTAIN_GLANCE if maps else _HALF_CERTAIN)
-        of_parts = [_certainty(m, _HALF_CERTAIN) for m in maps]
-        evidence = [
-            Evidence(m, c * visible[m.landmarks], tolerance=_AGILITY[m.landmarks])
-            for m, c in zip(maps, of_parts, strict=True)
-        ]
-        evidence += [Evidence(face, certainty * visible * (self._face_weight if maps else 1.0), coarse=bool(maps))]
+        evidence = []
+        for look in parts:
+            of = look.maps.landmarks
+            evidence.append(Evidence(look.maps, look.certainty * visible[of], tolerance=_AGILITY[of]))
+        weights = face.certainty * (visible * self._face_weight if parts else visible)
+        evidence.append(Evidence(face.maps, weights, coarse=bool(parts)))
         # 3. Mean-shift (3.4); the result is converted back to the image frame.
         for options in stage.rounds:
             local = regularised_mean_shift(self._fitted_pdm, local, evidence, options)
         fitted = FittedShape(pose_in_image(local.pose, start.pose), local.shape_params)
         ended = perf_counter()
         # 4. Features for the loss check (3.6).
-        shape = self._fitted_pdm.project(local.pose, local.shape_params)
-        features, certainty = self._judge(face, log_odds, maps, shape)
+        after = self._fitted_pdm.project(local.pose, local.shape_params)
+        features, certainty = judge(face, log_odds, parts, after)
+        experts = self._model.parts if stage.parts else ()
+        moved = max((float(np.abs(part.centres(after - before)).max()) for part in experts), default=0.0)
         self._timings["experts"] += looked - began
         self._timings["fit"] += ended - looked
         self._timings["check"] += perf_counter() - ended
-        return Fit(fitted, features, certainty)
+        return Fit(fitted, features, certainty, moved)
 
-    def _look(
-        self, grey: Grey, pose: FloatArray, local: FittedShape, *, parts: bool
-    ) -> tuple[ResponseMaps, float, list[ResponseMaps]]:
-        """Return the maps of the face, its log odds and the maps of its parts, in the face frame of `pose` (6,).
+    def _look(self, grey: Grey, pose: FloatArray, shape: FloatArray | None) -> tuple[Look, float, list[Look]]:
+        """Look at the face, with the log odds that it is one, and at its parts, in the face frame of `pose` (6,).
 
-        The network of the first part, the eyes, takes as long as the others', which run in the second thread; all else
-        is done here, as Python runs one thread at a time.
+        Parts are seen where they are in `shape` (66, 2), if there is one. The network of the first part, the eyes,
+        takes as long as the others', which run in the second thread; all else is done here, as Python runs one thread
+        at a time.
         """
-        if not parts:
-            return *self._model.face.respond(grey, pose), []
-        shape = self._fitted_pdm.project(local.pose, local.shape_params)
+        if shape is None:
+            maps, log_odds = self._model.face.respond(grey, pose)
+            return Look(maps, HALF_CERTAIN), log_odds, []
         glance, (first, *others) = self._model.glance, self._model.parts
         centres = [part.centres(shape) for part in others]
         whole = glance.crop(grey, pose)
@@ -200,59 +224,36 @@ class FaceFitter:
             return glance.network(whole), [part.network(crop) for part, crop in zip(others, crops, strict=True)]
 
         begun = None if self.second_thread is None else self.second_thread.submit(of_others)
-        maps = [self._raised(first, first.respond(grey, pose, shape), grey, pose, shape)]
+        looks = [self._raised(first, first.respond(grey, pose, shape), grey, pose, shape)]
         of_face, of_parts = of_others() if begun is None else begun.result()
         for part, (output,), centre in zip(others, of_parts, centres, strict=True):
-            maps.append(self._raised(part, part.read(output, centre), grey, pose, shape))
-        return *glance.read(*of_face), maps
-
-    def _judge(
-        self, face: ResponseMaps, log_odds: float, maps: list[ResponseMaps], shape: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the features (6,), scaled to similar ranges, and the certainty (66,) of a fit at `shape` (66, 2).
-
-        `face` and `maps` are those of the face and of its parts, if these were seen, in the face frame of the shape.
-        """
-        certainty = _certainty(face, _HALF_CERTAIN_GLANCE if maps else _HALF_CERTAIN)
-        of_parts = [_certainty(m, _HALF_CERTAIN) for m in maps]
-        features = np.zeros(N_FEATURES)
-        features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * _distance(face, shape)[INNER].mean()
-        if maps:
-            away = np.concatenate([_distance(m, shape) for m in maps])
-            features[4:] = np.concatenate(of_parts).mean(), 10.0 * away.mean()
-        for m, c in zip(maps, of_parts, strict=True):
-            certainty[m.landmarks] = c
-        return features, certainty
+            looks.append(self._raised(part, part.read(output, centre), grey, pose, shape))
+        maps, log_odds = glance.read(*of_face)
+        return Look(maps, HALF_CERTAIN_GLANCE), log_odds, looks
 
     def _shape_of(self, fitted: FittedShape) -> FloatArray:
         """Landmarks of a fit in its own face frame, (66, 2), as the networks define them."""
         local = _in_face_frame(fitted)
         return self._fitted_pdm.project(local.pose, local.shape_params)
 
-    def _raised(
-        self, part: PartExperts, maps: ResponseMaps, grey: Grey, pose: FloatArray, shape: FloatArray
-    ) -> ResponseMaps:
-        """Return the maps of a part, with brows that are not seen in its crop sought above it (section 3.3).
+    def _raised(self, part: PartExperts, maps: ResponseMaps, grey: Grey, pose: FloatArray, shape: FloatArray) -> Look:
+        """Look at a part by its `maps`, with brows that are not seen in its crop sought above it (section 3.3).
 
         The crop lies around the landmarks of the previous frame; a brow that is suddenly raised high is outside.
         """
-        brows = part.brows
-        if not brows.any():
-            return maps
-        seen, eyes = _mean_certainty(maps, brows), _mean_certainty(maps, ~brows)
-        missed = (seen <= _SEEN) & (eyes > _SEEN)
+        look = Look(maps, HALF_CERTAIN)
+        if part.shares_of_brows is None:
+            return look
+        of_brows, of_eyes = part.shares_of_brows
+        seen = (of_brows * look.certainty).sum(axis=1)
+        if seen.min() > _SEEN:
+            return look
+        missed = (seen <= _SEEN) & ((of_eyes * look.certainty).sum(axis=1) > _SEEN)
         if not missed.any():
-            return maps
+            return look
         above = part.respond(grey, pose, shape, higher=_HIGHER)
-        better = missed & (_mean_certainty(above, brows) > seen + _BETTER)
-        return maps.replaced(above, (brows & better[:, None]).ravel())
-
-    def _moved_far(self, before: FittedShape, now: FittedShape) -> bool:
-        """Whether a part has left the middle of the crop that its experts saw."""
-        pdm = self._model.pdm
-        moved = pdm.project(now.pose, now.shape_params) - pdm.project(before.pose, before.shape_params)
-        parts = [np.abs(moved[part.landmarks].sum(axis=0)).max() / len(part.landmarks) for part in self._model.parts]
-        return bool(max(parts) > _REFIT_DISTANCE * before.pose[0])
+        better = missed & ((of_brows * Look(above, HALF_CERTAIN).certainty).sum(axis=1) > seen + _BETTER)
+        return Look(maps.replaced(above, (of_brows[better] > 0.0).any(axis=0)), HALF_CERTAIN)
 
 
 def _in_face_frame(start: FittedShape) -> FittedShape:
@@ -265,19 +266,16 @@ def _view(pose: FloatArray) -> int:
     return int(np.sign(pose[2])) if abs(pose[2]) > _SIDE_YAW else 0
 
 
-def _mean_certainty(maps: ResponseMaps, chosen: NDArray[np.bool_]) -> FloatArray:
-    """Mean certainty of the landmarks `chosen` (sides, n) of each side of a part, (sides,)."""
-    certainty = _certainty(maps, _HALF_CERTAIN).reshape(chosen.shape)
-    return np.asarray((certainty * chosen).sum(axis=1) / chosen.sum(axis=1))
+def judge(face: Look, log_odds: float, parts: Sequence[Look], shape: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the features (6,), scaled to similar ranges, and the certainty (66,) of a fit at `shape` (66, 2).
 
-
-def _certainty(maps: ResponseMaps, half: float) -> FloatArray:
-    """Certainty of each map (equation 3.2), (n,), where `half` is `h`."""
-    return np.asarray(half**2 / (half**2 + maps.moments[1]))
-
-
-def _distance(maps: ResponseMaps, shape: FloatArray) -> FloatArray:
-    """Distances from the means of the maps to the landmarks `shape` (66, 2), (n,)."""
-    away = maps.moments[0] - shape[maps.landmarks]
-    out: FloatArray = np.hypot(away[:, 0], away[:, 1])
-    return out
+    The looks are at the face and at its parts, if these were seen, in the face frame of the shape.
+    """
+    features, certainty = np.zeros(N_FEATURES), face.certainty.copy()
+    features[:4] = 1.0, 0.2 * log_odds, certainty[INNER].mean(), 10.0 * face.distance(shape)[INNER].mean()
+    if parts:
+        features[4] = np.concatenate([look.certainty for look in parts]).mean()
+        features[5] = 10.0 * np.concatenate([look.distance(shape) for look in parts]).mean()
+    for look in parts:
+        certainty[look.maps.landmarks] = look.certainty
+    return features, certainty

@@ -10,9 +10,10 @@ cheap, and bright spots on dark ground get negative votes.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from math import atan2, hypot, nan
+from math import atan2, dist, hypot, nan, sqrt
 
 import cv2
 import numpy as np
@@ -27,7 +28,7 @@ from .reference import ReferenceFrame, warp_to_reference
 
 EYES = np.concatenate([EYE_RIGHT, EYE_LEFT])
 """Landmarks at whose middle the experts of the pupils see both eyes."""
-_EYES = np.array([EYE_RIGHT, EYE_LEFT])
+_CORNERS = np.array([EYE_RIGHT, EYE_LEFT])[:, [0, 3]]
 _IRIS = 0.066
 """Radius of the iris: 5.9 mm at an outer-eye distance of 89 mm."""
 _REACH = 0.035
@@ -43,7 +44,7 @@ A of the strangers' clips, the far eye and the near one look 83 degrees apart (m
 is more."""
 _FRONTAL_BELOW = 0.4
 """Yaw of the head and of the gaze, in radians, below which both pupils are seen well enough for that."""
-_BALL = np.array([0.0, -0.02, 0.075])
+_BALL = (0.0, -0.02, 0.075)
 """Centre of an eyeball relative to the middle between the corners of the eye: head frame, outer-eye distances."""
 _BALL_RADIUS = 0.13
 """Distance from the centre of an eyeball to its pupil, in outer-eye distances."""
@@ -59,7 +60,7 @@ class PupilExperts(FacePart):
     def band(self, grey: Grey, pose: FloatArray, landmarks: FloatArray) -> ReferenceFrame:
         """Crop the band with both eyes of a face with `landmarks` (66, 2) in pixels."""
         place = pose.copy()
-        place[4:6] = landmarks[EYES].sum(axis=0) / len(EYES)
+        place[4:6] = self.centres(landmarks)[0]
         return warp_to_reference(grey, place, self.scale, self.size)
 
     def refine(self, band: ReferenceFrame, told: NDArray[np.float32]) -> FloatArray:
@@ -102,44 +103,57 @@ def find_gaze(found: FloatArray, pose: FloatArray, landmarks: FloatArray, shape:
     landmarks without the pose: head frame, outer-eye distances. The direction is the mean over the open eyes, weighted
     by their visible areas.
     """
+    scale, pitch, yaw, roll, *place = pose.tolist()
+    rotation = euler_to_matrix(pitch, yaw, roll).tolist()
     pupils = np.full((2, 2), np.nan)
-    outlines = landmarks[_EYES]
-    across = outlines[:, 3] - outlines[:, 0]
-    width = np.hypot(across[:, 0], across[:, 1])
-    aperture = eye_apertures(landmarks)
-    length = pose[0] * np.linalg.norm(shape[_EYES[:, 3]] - shape[_EYES[:, 0]], axis=1)
-    # An eye is weighted by its visible area, and not used while it is shut or hidden.
-    seen = (aperture > _OPEN_ABOVE * width) & (width > _TURNED_AWAY * length)
-    shares = np.where(seen, aperture * width, 0.0)
-    looking = np.flatnonzero(shares)
-    if len(looking) == 0:
+    sights: list[tuple[float, float, float]] = []
+    sums, clear = [0.0, 0.0, 0.0], True
+    # Python floats, as operations on numpy scalars and tiny arrays take ten times as long.
+    apertures = eye_apertures(landmarks).tolist()
+    for i, (aperture, pupil) in enumerate(zip(apertures, found.tolist(), strict=True)):
+        first, last = landmarks[_CORNERS[i]].tolist()
+        width = dist(first, last)
+        first, last = shape[_CORNERS[i]].tolist()
+        length = scale * dist(first, last)
+        # An eye is weighted by its visible area, and not used while it is shut or hidden.
+        clear = clear and aperture > _CLEAR_ABOVE * width
+        if not (aperture > _OPEN_ABOVE * width and width > _TURNED_AWAY * length):
+            continue
+        pupils[i] = pupil
+        # The eyeball lies at a fixed place behind the middle between the corners of the eye.
+        ball = [0.5 * (a + b) + c for a, b, c in zip(first, last, _BALL, strict=True)]
+        sight = _line_of_sight([(p - t) / scale for p, t in zip(pupil, place, strict=True)], ball, rotation)
+        sights.append(sight)
+        sums = [total + aperture * width * each for total, each in zip(sums, sight, strict=True)]
+    if not sights:
         return Gaze(pupils, np.full(2, np.nan), nan)
-    pupils[looking] = found[looking]
-    # The eyeball lies at a fixed place behind the middle between the corners of the eye.
-    middles = 0.5 * (shape[_EYES[looking, 0]] + shape[_EYES[looking, 3]])
-    sights = _lines_of_sight(pupils[looking], pose, middles)
-    x, y, z = (shares[looking] @ sights).tolist()
+    x, y, z = sums
     together = np.array([atan2(y, hypot(x, z)), atan2(-x, -z)])
-    clear = bool((aperture > _CLEAR_ABOVE * width).all()) and max(abs(pose[2]), abs(together[1])) < _FRONTAL_BELOW
-    right, left = (atan2(-x, -z) for x, _, z in sights.tolist()) if clear else (nan, nan)
+    clear = clear and len(sights) == 2 and max(abs(yaw), abs(together[1])) < _FRONTAL_BELOW
+    right, left = (atan2(-x, -z) for x, _, z in sights) if clear else (nan, nan)
     return Gaze(pupils, together, left - right)
 
 
-def _lines_of_sight(pupils: FloatArray, pose: FloatArray, middles: FloatArray) -> FloatArray:
-    """Unit vectors, (E, 3), in the head frame, from the centres of the eyeballs to their pupils (E, 2) in the image.
+def _line_of_sight(
+    pupil: Sequence[float], ball: Sequence[float], rotation: Sequence[Sequence[float]]
+) -> tuple[float, float, float]:
+    """Unit vector, in the head frame, from the centre of an eyeball to its pupil (2,), which is seen in the image.
 
+    `ball` (3,) is that centre in the head frame, `rotation` (3, 3) that of the head; lengths are outer-eye distances.
     Under weak perspective, the pupil is where the line of sight through its image meets the front of the eyeball. If
     the line misses the eyeball, the nearest point of its outline is used.
     """
-    rotation = euler_to_matrix(*pose[1:4].tolist())
-    centres = (middles + _BALL) @ rotation[:2].T
-    aside = ((pupils - pose[4:6]) / pose[0] - centres) / _BALL_RADIUS
     # On a unit ball: (x, y) in the image plane, and the rest of the unit vector towards the viewer, -z.
-    off = np.hypot(aside[:, 0], aside[:, 1])
-    inwards = aside / np.maximum(off, 1.0)[:, None]
-    towards = np.sqrt(np.maximum(1.0 - off * off, 0.0))
+    x, y = (
+        (seen - sum(r * b for r, b in zip(row, ball, strict=True))) / _BALL_RADIUS
+        for seen, row in zip(pupil, rotation, strict=False)
+    )
+    off = max(hypot(x, y), 1.0)
+    x, y = x / off, y / off
+    z = -sqrt(max(1.0 - x * x - y * y, 0.0))
     # From the axes of the image back to the head frame.
-    return np.asarray(np.column_stack([inwards, -towards]) @ rotation)
+    right, down, away = (x * a + y * b + z * c for a, b, c in zip(*rotation, strict=True))
+    return right, down, away
 
 
 def _votes(

@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from .facetracker_file import is_text_model, read_facetracker
-from .fitter import FaceFitter, Fit, FitStage
+from .fitter import HALF_CERTAIN, HALF_CERTAIN_GLANCE, FaceFitter, Fit, FitStage, Look, judge
 from .grey import Grey
 from .linear_experts import REACH, LinearModel
 from .mean_shift import Evidence, MeanShiftOptions, regularised_mean_shift
@@ -98,9 +98,11 @@ class LinearFitter(FaceFitter):
     def _judged(self, grey: Grey, fitted: FittedShape, parts: bool) -> Fit:
         """Judge a fit by the networks of the face, and of its `parts`, seen where it ended."""
         began = perf_counter()
-        face, log_odds = (self._model.glance if parts else self._model.face).respond(grey, fitted.pose)
+        experts, half = (self._model.glance, HALF_CERTAIN_GLANCE) if parts else (self._model.face, HALF_CERTAIN)
+        face, log_odds = experts.respond(grey, fitted.pose)
         shape = self._shape_of(fitted)
         maps = [part.respond(grey, fitted.pose, shape) for part in self._model.parts] if parts else []
-        features, certainty = self._judge(face, log_odds, maps, shape)
+        looks = [Look(m, HALF_CERTAIN) for m in maps]
+        features, certainty = judge(Look(face, half), log_odds, looks, shape)
         self._timings["check"] += perf_counter() - began
         return Fit(fitted, features, certainty)

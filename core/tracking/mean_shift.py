@@ -80,44 +80,46 @@ def regularised_mean_shift(
         away[N_POSE:] = start.shape_params
     else:
         np.divide(options.regularisation, np.square(options.held), out=prior[:N_POSE])
+    count = len(flat) // 2
     of = np.concatenate([e.maps.landmarks for e in evidence])  # the landmark of each map
-
-    def of_rows(weights: FloatArray) -> FloatArray:
-        """Weights of the rows of the Jacobian, from those of the maps."""
-        return np.tile(np.bincount(of, weights, len(flat) // 2), 2)
-
+    rows = np.concatenate([of, of + count])  # of the Jacobian, for x and y of each map
     weights = trusted = np.concatenate([e.weights for e in evidence])
-    normal = normal_matrix(flat, of_rows(weights), prior)
+
+    def normal_of(weights: FloatArray) -> FloatArray:
+        """Left-hand side of equation 3.4 for weights of the maps."""
+        of_landmarks = np.bincount(of, weights, count)
+        return normal_matrix(flat, np.concatenate([of_landmarks, of_landmarks]), prior)
+
+    normal = normal_of(weights)
     # Equation 3.1 at the start: the derivative with respect to the scale, times the scale, is the untranslated
-    # landmarks.
-    landmarks = (start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]).T
+    # landmarks. Rows are x and y.
+    landmarks = start.pose[0] * jacobian[:, :, 0] + start.pose[4:6, None]
     moved = np.zeros(len(prior))
     robust = options.outlier_scale < inf
     if robust:
         squared_scale = np.concatenate([np.full(len(e.weights), e.tolerance) for e in evidence])
         squared_scale = np.square(options.outlier_scale * squared_scale)
     for i, variance in enumerate(options.variances):
-        places = landmarks[of]
+        places = landmarks[:, of]
         shifts = _shifts(evidence, places, variance)
         # Equation 3.5, from the second iteration on: once the shape is near, maps that disagree with it are outliers.
         if i and robust:
-            x, y = (shifts if variance == inf else _shifts(evidence, places, inf)).T
+            x, y = shifts if variance == inf else _shifts(evidence, places, inf)
             weights = trusted / (1.0 + (x * x + y * y) / squared_scale)
-            normal = normal_matrix(flat, of_rows(weights), prior)
+            normal = normal_of(weights)
         # J^T W v, summed over the maps of each landmark, and the right-hand side of equation 3.4.
-        pull = [np.bincount(of, weights * shift, len(landmarks)) for shift in shifts.T]
-        right = multiply(np.concatenate(pull), flat) - prior * (away + moved)
-        delta = solve_definite(normal, right)  # Equation 3.4.
+        pull = np.asarray(np.bincount(rows, (weights * shifts).reshape(-1), 2 * count), np.float64)
+        delta = solve_definite(normal, multiply(pull, flat) - prior * (away + moved))  # Equation 3.4.
         moved += delta
-        landmarks += multiply(flat, delta).reshape(2, -1).T
+        landmarks += multiply(flat, delta).reshape(2, -1)
     return model.step(start.pose, start.shape_params, moved)
 
 
 def _shifts(evidence: Sequence[Evidence], places: FloatArray, variance: float) -> FloatArray:
-    """Mean-shift vectors `v` of equation 3.3 of all maps, (n, 2), from the landmarks at `places` (n, 2)."""
+    """Mean-shift vectors `v` of equation 3.3 of all maps, (2, n), from the landmarks at `places` (2, n)."""
     out, first = np.empty_like(places), 0
     for e in evidence:
-        own = slice(first, first + len(e.weights))
-        out[own] = e.maps.shifts(places[own], inf if e.coarse else variance)
-        first = own.stop
+        last = first + len(e.weights)
+        out[:, first:last] = e.maps.shifts(places[:, first:last].T, inf if e.coarse else variance).T
+        first = last
     return out

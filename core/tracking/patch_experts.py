@@ -49,7 +49,7 @@ class ActionExperts(FacePart):
     def crops_at(self, grey: Grey, pose: FloatArray, landmarks: FloatArray) -> NDArray[np.float32]:
         """Crop the input of the network (1 or 2, height, width) for landmarks (66, 2) in pixels."""
         poses = pose[None].repeat(len(self.sides), axis=0)
-        poses[:, 4:6] = landmarks[self.sides].mean(axis=1)
+        poses[:, 4:6] = self.centres(landmarks)
         return self.crops(grey, poses)
 
 
