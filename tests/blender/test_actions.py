@@ -23,6 +23,7 @@ from facemime.core.puppet.puppet_settings import PuppetSettings
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.take import Take
 from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 
 def showing() -> Take:
@@ -40,7 +41,7 @@ def tongue_of(head: bpy.types.Object) -> bpy.types.ShapeKey:
     return tongue.data.shape_keys.key_blocks[TONGUE_KEY]
 
 
-@pytest.mark.parametrize("units", [False, True])
+@pytest.mark.parametrize("units", first_of([False, True]))
 def test_a_bake_puts_the_tongue_out_and_another_without_it_takes_it_back(units):
     head, scene = add_head(bpy.context, units=units), bpy.context.scene
     report = puppet_head(scene, head, showing())

@@ -24,7 +24,7 @@ AIMS = {"of its own": ("eye.L", "eye.R"), "shared": ("eyes", "eyes")}
 
 @pytest.mark.parametrize("copies", first_of([False, True]))
 @pytest.mark.parametrize("aims", AIMS)
-@pytest.mark.parametrize("local", [True, False])
+@pytest.mark.parametrize("local", first_of([True, False]))
 def test_an_eye_is_turned_by_the_control_that_it_looks_at(copies, aims, local):
     objects, armature = _looking_character("Head", copies=copies, aims=AIMS[aims])
     for name in AIMS[aims]:
@@ -42,7 +42,7 @@ def test_an_eye_is_turned_by_the_control_that_it_looks_at(copies, aims, local):
     np.testing.assert_allclose(armature.pose.bones[AIMS[aims][0]].location, (0.02, 0.0, -0.01), atol=1e-7)
 
 
-@pytest.mark.parametrize("copies", [False, True])
+@pytest.mark.parametrize("copies", first_of([False, True]))
 def test_the_bone_of_an_eye_turns_it_if_it_looks_at_a_place_in_the_world(copies):
     objects, armature = _looking_character(None, copies=copies, aims=AIMS["of its own"])
     head, _ = bind_character(objects["head"])
@@ -69,7 +69,7 @@ def test_a_bone_of_an_eye_that_itself_looks_at_a_control_is_found():
     _assert_looks(report, rest, objects["eye_left"])
 
 
-@pytest.mark.parametrize("shared", [True, False])
+@pytest.mark.parametrize("shared", first_of([True, False]))
 def test_an_eye_that_looks_at_an_object_on_the_head_is_turned_by_it(shared):
     objects, armature = _looking_character("Head", copies=False, aims=AIMS["of its own"])
     eyes = {"L": objects["eye_left"], "R": objects["eye_right"]}

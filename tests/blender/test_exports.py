@@ -19,6 +19,7 @@ from facemime.core.puppet.puppet_settings import PuppetSettings
 from tests.helpers.characters import make_character
 from tests.helpers.hiding import HIDING
 from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 
 def bake(head, keys="new", path=None):
@@ -51,7 +52,7 @@ def hide_by_drivers(obj):
     obj.driver_add("hide_viewport").driver.expression = "1"
 
 
-@pytest.mark.parametrize("hide", [hide_by_keyframes, hide_by_drivers])
+@pytest.mark.parametrize("hide", first_of([hide_by_keyframes, hide_by_drivers]))
 def test_files_hold_what_animation_and_drivers_hide(hide, tmp_path):
     head, scene = add_head(bpy.context), bpy.context.scene
     bake(head)

@@ -165,6 +165,7 @@ def image_of(obj):
     return image
 
 
+@pytest.mark.thorough
 def test_a_copy_of_her_file_elsewhere_looks_as_she_does(tmp_path):
     for name in ("Jane.tri", "Jane.jpg", "Mouth.tri"):
         shutil.copy(FOLDER / name, tmp_path / name)

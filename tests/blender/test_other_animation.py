@@ -93,7 +93,7 @@ def plain():
 
 
 @pytest.mark.parametrize("nla", first_of([False, True]))
-@pytest.mark.parametrize("moved", [_curves, _strip, _solo, _added_action, _driver])
+@pytest.mark.parametrize("moved", first_of([_curves, _strip, _solo, _added_action, _driver], 2))
 def test_a_bake_mutes_what_moves_its_keys_and_its_removal_lets_it_play_again(moved, nla, plain):
     head = add_head(bpy.context, units=True)
     moved(head)
@@ -107,7 +107,7 @@ def test_a_bake_mutes_what_moves_its_keys_and_its_removal_lets_it_play_again(mov
     np.testing.assert_allclose(values_of(head), before, atol=1e-6)
 
 
-@pytest.mark.parametrize("moved", [_curves, _strip])
+@pytest.mark.parametrize("moved", first_of([_curves, _strip]))
 def test_a_take_is_added_to_the_animation_of_keys_on_request(moved, plain):
     head = add_head(bpy.context, units=True)
     moved(head)
@@ -197,7 +197,7 @@ def test_a_driver_that_is_to_be_kept_moves_its_key_alone(plain):
     np.testing.assert_allclose(values_of(head), wanted, atol=1e-6)
 
 
-@pytest.mark.parametrize("source", ["key", "mesh", "object"])
+@pytest.mark.parametrize("source", first_of(["key", "mesh", "object"]))
 @pytest.mark.parametrize("keys", ["mapped", "named"])
 def test_keys_of_parts_that_follow_those_of_the_head_stay_with_their_drivers(source, keys):
     head = add_head(bpy.context, units=True)

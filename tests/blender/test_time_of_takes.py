@@ -20,6 +20,7 @@ from tests.helpers.commands import run
 from tests.helpers.curves import curves_of
 from tests.helpers.owners import UNDER_WINE
 from tests.helpers.takes import performance
+from tests.helpers.thorough import first_of
 
 pytestmark = pytest.mark.usefixtures("nothing_left_over")
 
@@ -104,7 +105,7 @@ def _edit(scene):
 _LENGTH = {"length": 40} if bpy.app.version >= (5, 0, 0) else {"frame_end": 40}
 
 
-@pytest.mark.parametrize("use", [_camera_move, _strip, _other_key, _marker, _material, _edit])
+@pytest.mark.parametrize("use", first_of([_camera_move, _strip, _other_key, _marker, _material, _edit], 2))
 def test_the_range_of_a_scene_in_use_is_kept_unless_its_change_is_asked_for(use):
     head, scene = add_head(bpy.context), bpy.context.scene
     scene.render.fps = 25

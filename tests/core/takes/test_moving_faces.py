@@ -20,6 +20,7 @@ from facemime.core.takes.file import load_take
 from facemime.core.takes.neutral import calibrate
 from lab.training.data import DATA
 from tests.helpers.commands import run
+from tests.helpers.thorough import first_of
 
 HEAD = load_head()
 EYES = [part for part in HEAD.parts if part.name.startswith("eye")]
@@ -83,7 +84,7 @@ def test_numbered_meshes_become_a_take(tmp_path):
     np.testing.assert_allclose(take.gaze, 0.0, atol=2e-3)
 
 
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("form", first_of(["ascii", "binary_little_endian", "binary_big_endian"], 2))
 def test_meshes_of_every_kind_of_ply_file_become_a_take(tmp_path, form):
     for number, amount in enumerate(AMOUNTS):
         write_ply(tmp_path / f"{number}.ply", moved(amount), form)
