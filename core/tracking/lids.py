@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from math import dist
-
 import numpy as np
 
-from ..face.landmarks import EYE_LEFT, EYE_RIGHT, LOWER_LIDS, N_LANDMARKS, UPPER_LIDS
+from ..face.landmarks import EYE_CORNERS, LOWER_LIDS, N_LANDMARKS, UPPER_LIDS
+from ..face.rotation import euler_to_matrix
 from ..numeric.arrays import FloatArray
 
 _UNSURE = 0.015
@@ -16,7 +15,6 @@ _UNSURE_PIXELS = 0.5
 """What is added to it, squared, in pixels: lids of a small face are two pixels apart."""
 _NARROWEST = 0.2
 """Least ratio of an eye's width in the image to its true one by which it counts."""
-_CORNERS = EYE_RIGHT[[0, 3]], EYE_LEFT[[0, 3]]
 _OPENINGS = np.zeros((2, N_LANDMARKS))
 """Weights of heights whose sums are the openings of the right and the left eye."""
 _RAISED = np.zeros((N_LANDMARKS, 2))
@@ -27,19 +25,22 @@ for _eye in (0, 1):
     _RAISED[UPPER_LIDS[_pairs], _eye] = -1.0
 
 
-def pair_lids(pose: FloatArray, landmarks: FloatArray, shape: FloatArray) -> FloatArray:
+def pair_lids(pose: FloatArray, shape: FloatArray) -> FloatArray:
     """Return a copy of `shape` whose upper lids are brought nearer to where both eyes are open alike.
 
-    `pose` (6,), `landmarks` (66, 2) in pixels and `shape` (66, 3), in the head frame and outer-eye distances, are as in
-    `TrackResult`. A small difference is taken for an error, and a large one for a wink, which stays. The eye that is
-    seen better counts more.
+    `pose` (6,) and `shape` (66, 3), in the head frame and outer-eye distances, are as in `TrackResult`. A small
+    difference is taken for an error, and a large one for a wink, which stays. The eye that is seen better counts more.
     """
+    scale, pitch, yaw, roll, *_ = pose.tolist()
     openings = _OPENINGS @ shape[:, 1]
     right, left = openings.tolist()
-    scale = float(pose[0])
+    corners = shape[EYE_CORNERS]
+    across = corners[1::2] - corners[::2]
+    away = across @ euler_to_matrix(pitch, yaw, roll)[2]
+    # Squared widths of the eyes in the image, relative to the true ones.
     seen = [
-        min(max(dist(*landmarks[ends].tolist()) / (scale * dist(*shape[ends].tolist())), _NARROWEST), 1.0) ** 2
-        for ends in _CORNERS
+        max(1.0 - depth * depth / length, _NARROWEST**2)
+        for depth, length in zip(away.tolist(), (across * across).sum(axis=1).tolist(), strict=True)
     ]
     # Errors grow as an eye narrows; equation 3.12.
     unsure = (_UNSURE**2 + (_UNSURE_PIXELS / scale) ** 2) * 0.5 * (1.0 / seen[0] + 1.0 / seen[1])

@@ -70,17 +70,17 @@ class FaceReader:
         begun = None if thread is None else thread.submit(run_networks)
         fitted = self._fitter.refine(grey, candidate.fit).fitted
         pose, shape_params = fitted.pose, fitted.shape_params
-        shape = pdm.shape(shape_params)
+        shape = pair_lids(pose, pdm.shape(shape_params))
         landmarks = project_shape(shape, pose)
-        shape = pair_lids(pose, landmarks, shape)
         refined = perf_counter()
         teeth = nan
         if colour is not None:
-            shape, teeth = bare_teeth(colour, pose, landmarks, shape)
+            bared, teeth = bare_teeth(colour, pose, landmarks, shape)
+            if bared is not shape:
+                shape, landmarks = bared, project_shape(bared, pose)
         timings["teeth"] += perf_counter() - refined
         if mouth is not None and (held := mouth.hold(shape, candidate.fit.certainty)) is not shape:
-            shape, teeth = held, nan
-        landmarks = project_shape(shape, pose)
+            shape, landmarks, teeth = held, project_shape(held, pose), nan
         actions, places = run_networks() if begun is None else begun.result()
         told = perf_counter()
         gaze = find_gaze(pupils.refine(band, places), pose, landmarks, shape)

@@ -5,7 +5,6 @@ from hypothesis import strategies as st
 
 from facemime.core.face.landmarks import LOWER_LIDS, MIRROR, UPPER_LIDS, eye_apertures
 from facemime.core.tracking.lids import pair_lids
-from facemime.core.tracking.result import project_shape
 from facemime.core.tracking.tracker import FaceTracker
 
 LARGE, SMALL = 150.0, 25.0
@@ -26,8 +25,7 @@ def opened(mean, right, left):
 
 
 def paired(shape, scale=LARGE, yaw=0.0):
-    pose = np.array([scale, 0.0, yaw, 0.0, 320.0, 240.0])
-    return pair_lids(pose, project_shape(shape, pose), shape)
+    return pair_lids(np.array([scale, 0.0, yaw, 0.0, 320.0, 240.0]), shape)
 
 
 def shares(shape, mean):
