@@ -22,15 +22,17 @@ from ..actions import Curve, check_curves, remove_bake, write_curves
 from ..characters import members_of, own_rotation
 from ..fcurves import CharacterAction, make_actions_own
 from ..meshes import keys_of, mesh_of
-from ..muting import Silenced, animated_paths, keyed_paths, strips_of
+from ..muting import Silenced, animated_paths, keyed_paths, mute_others, mute_paths, strips_of
 from ..names import PART_PROPERTY, TONGUE_KEY
 from ..own_pose import own_mode, path_of, prefix_of, rotation_channel
 from .bake_controls import control_owners, rest_controls
 from .bake_keys import remove_baked_keys, require_relative, value_path
 from .exporting import remove_cache
-from .targets import Placement, PoseTarget, carried_targets, continuous_quaternions
+from .targets import Placement, PoseTarget, carried_targets, carriers_of, continuous_quaternions
 
 _CHANNELS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")
+_PLACING = (*_CHANNELS, "location")
+"""Data paths of the channels that move an object."""
 
 
 def placements(
@@ -197,10 +199,14 @@ def bake_pose(
     nla : bool
         Whether to use an NLA track.
     keep : bool
-        Whether other animation of bones is added to, and drivers are left, instead of muting them. That of objects'
-        delta transforms is always added to: it is where the user placed them.
+        Whether other animation of bones is added to, and drivers are left, instead of muting them, as is that of
+        parents that move only some of the meshes, such as those of eyes. That of objects' delta transforms is always
+        added to: it is where the user placed them.
     """
     silenced = []
+    if not keep and (rotation or translation):
+        for carrier in carriers_of(obj, targets["head"]):
+            silenced += [*mute_others(carrier, _PLACING), *mute_paths(carrier, _PLACING, curves=False)]
     carried = carried_targets(obj, targets["head"])
     moved = posed_parts(obj, targets)
     placed = placements(scene, [target for _, target in moved], frames, keep=keep)
@@ -250,7 +256,7 @@ def animated_owners(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.I
     keys = [mesh_of(member.obj).shape_keys for member in members_of(obj)]
     keys += [mesh_of(child).shape_keys for child in filter(has_tongue, obj.children)]
     owners = [*(target.obj for target in _all_targets(obj, targets)), *control_owners(obj), *filter(None, keys)]
-    return list(dict.fromkeys(owners))
+    return list(dict.fromkeys([*owners, *_carriers(obj, targets)]))
 
 
 def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
@@ -267,11 +273,19 @@ def remove_baked(obj: bpy.types.Object, targets: Targets) -> None:
     places = _all_targets(obj, targets)
     for target in places:
         target.begin()  # a bake of an earlier version remembers no pose of the user
-    for owner in {*(target.obj for target in places), *control_owners(obj)}:
+    for owner in {*(target.obj for target in places), *control_owners(obj), *_carriers(obj, targets)}:
         rest_controls(obj, owner, remove_bake(owner))
     for target in places:
         target.rest()
     bpy.context.view_layer.update()
+
+
+def _carriers(obj: bpy.types.Object, targets: Targets) -> list[bpy.types.Object]:
+    """Return the objects whose own motion a bake mutes. Parameters are as for `check_bakeable`."""
+    found = [
+        carrier for target in (PoseTarget(obj), targets.get("head")) if target for carrier in carriers_of(obj, target)
+    ]
+    return list(dict.fromkeys(found))
 
 
 def pose_targets_of(obj: bpy.types.Object, targets: Targets) -> list[PoseTarget]:

@@ -27,6 +27,7 @@ from ...core.takes.take import Take
 from ..characters import Member, members_of, objects_of, whole_face
 from ..controls.checks import loose_parts
 from ..fcurves import CharacterAction
+from ..heads.look_keys import give_eyes_keys
 from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
 from ..muting import Silenced, name_them
@@ -93,6 +94,8 @@ def puppet_head(
     rig = _checked_rig(obj, targets, bake)
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
+    if bake.keys == "mapped" and give_eyes_keys(obj, preset_for(obj)):
+        rig = _checked_rig(obj, targets, bake)
     driver = performance.driver(rig)
     motion = drive_take(driver, take)
     start = start_frame(scene, bake.start)

@@ -198,6 +198,8 @@ class PoseTarget:
             turns = self._added(self.turned(rotations, placed.rotations))
             curves = self._rotation_curves(turns, angle, placed.angles)
         if (locations := self._location(rotations, translations, placed.rotations)) is not None:
+            if length is not None and not self.looking:
+                length *= float(self._scale().min())
             curves += self._curves("location", locations, length)
         return curves
 
@@ -377,3 +379,13 @@ def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarg
     objects = set(objects_of(head))
     loose = [obj for obj in objects_of(head) if not objects.union({head}).intersection(ancestors(obj))]
     return [target, *(PoseTarget(obj, head=head, pivot=target.pivot or (0.0, 0.0, 0.0)) for obj in loose)]
+
+
+def carriers_of(head: bpy.types.Object, target: PoseTarget) -> list[bpy.types.Object]:
+    """Return what carries only some of the objects of `carried_targets`, such as a parent that turns an eye.
+
+    The pose of these objects holds only while they are where they were.
+    """
+    shared = {head, *ancestors(head)}
+    loose = carried_targets(head, target)[1:]
+    return list(dict.fromkeys(above for carried in loose for above in ancestors(carried.obj) if above not in shared))

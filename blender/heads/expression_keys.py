@@ -120,7 +120,7 @@ def making_expression_keys(obj: bpy.types.Object | None, keys: KeySet, takes: Se
     for member in members:
         if member.obj != obj and np.abs(motions[:, member.part]).max() < _STILL * rig.eye_distance:
             continue
-        new = _add(member.obj, names, member.local_offsets(motions), moving)
+        new = add_keys(member.obj, names, member.local_offsets(motions), moving)
         added = new if member.obj == obj else added
     by_parts = dict.fromkeys(names, 0.0)
     for child in attached:
@@ -148,7 +148,7 @@ def _places(key: bpy.types.ShapeKey) -> NDArray[np.float32]:
     return out
 
 
-def _add(obj: bpy.types.Object, names: Sequence[str], offsets: NDArray[Any], moving: Container[str]) -> list[str]:
+def add_keys(obj: bpy.types.Object, names: Sequence[str], offsets: NDArray[Any], moving: Container[str]) -> list[str]:
     """Add keys with displacements (K, V, 3) in the axes of the mesh, except for existing ones that are `moving`.
 
     Return the names of those that were added or filled.
@@ -189,5 +189,5 @@ def _add_to_part(obj: bpy.types.Object, keys: KeySet, moving: Container[str]) ->
         return {}
     offsets = np.einsum("ku,uvc->kvc", keys.mixtures, part.units)
     if np.abs(offsets).max() > _RESTS:
-        _add(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32), moving)
+        add_keys(obj, keys.names, np.ascontiguousarray(to_blender(offsets), dtype=np.float32), moving)
     return dict(zip(keys.names, np.linalg.norm(offsets, axis=2).max(axis=1).tolist(), strict=True))

@@ -24,6 +24,7 @@ from ..meshes import group_weights, key_names, key_points, keys_of, mesh_of, rea
 from ..names import COUNT_PROPERTY, HEAD_PROPERTY, KEYS_PROPERTY, PIVOT_PROPERTY
 from .binding import turn_mesh
 from .family import armature_of, copies_of, family_of, heads_of, moved_by_key, require_character
+from .look_keys import give_eyes_keys
 from .parts import bones_of
 
 _OWN_WEIGHT = 0.5
@@ -71,6 +72,7 @@ def bind_keys(obj: bpy.types.Object | None) -> bpy.types.Object:
     bones = _without_moved_eyes(bones_of(head, armature, face.landmarks), [m for m in family if m in sets])
     write_bones(head, armature if bones.head else None, bones)
     head[PIVOT_PROPERTY] = to_blender(neck_of(read_vertices(mesh_of(head))[face.landmarks])).tolist()
+    give_eyes_keys(head, table)
     return head
 
 
