@@ -51,7 +51,11 @@ def add_commands(commands: Commands) -> None:
         action="store_true",
         help="also learn what the controls of the character's own rig do to its face, for puppet --keys controls",
     )
-    bind.add_argument("--cut-open", action="store_true", help="cut open lips and eyes that are joined, as on a scan")
+    bind.add_argument(
+        "--cut-open",
+        action="store_true",
+        help="cut open lips and eyes that are joined, as on a scan, and add a dark mouth",
+    )
     points = "; ".join(f"{number} {name.lower()}" for number, name in sorted(MARKS.items()))
     bind.add_argument(
         "--mark",

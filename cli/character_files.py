@@ -325,7 +325,7 @@ def _newly_bound(path: Path, chosen: bpy.types.Object, by_keys: Collection[str] 
         tell(f"facemime: {binding.doubt}")
     tell(f"Bound {head.name}. To see its parts and landmarks: facemime bind {path} -o HEAD.blend --picture FACE.png")
     if joined := [finding.problem for finding in check_object(head) if finding.step in CUTS]:
-        tell(" ".join([*joined, f"To cut them open: facemime bind {path} -o HEAD.blend --cut-open"]))
+        tell(" ".join([*joined, f"To mend this: facemime bind {path} -o HEAD.blend --cut-open"]))
     return head
 
 

@@ -189,6 +189,9 @@ REMEDIES = {
     "Use Open Lips, which cuts the mesh between them, or model a slit.": (
         "Use bind with --cut-open, which cuts the mesh between them, or model a slit."
     ),
+    "Use Open Lips, which adds a dark pocket behind them, or model the inside of a mouth.": (
+        "Use bind with --cut-open, which adds a dark pocket behind them, or model the inside of a mouth."
+    ),
     "Use Open Eyes, which cuts the mesh along the lids, or model separate eyes.": (
         "Use bind with --cut-open, which cuts the mesh along the lids, or model separate eyes."
     ),

@@ -24,8 +24,9 @@ from ..blender.heads.keyed import bind_keys
 from ..blender.heads.neck import give_neck
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import has_painted_skin, replace_eyes
+from ..blender.heads.parts import open_border
 from ..blender.heads.placing import FormerBinding
-from ..blender.meshes import mesh_of, read_places
+from ..blender.meshes import mesh_of, object_of, read_places
 from ..blender.messages import translated
 from ..blender.preview_scene import face_points, look_at_face
 from ..blender.stubs import OperatorResult
@@ -227,14 +228,19 @@ class FACEMIME_OT_check_head(OnMesh, bpy.types.Operator):
 
 
 class FACEMIME_OT_open_lips(OnHead, bpy.types.Operator):
-    """Cut the mesh between joined lips, such as those of a scan, so that the mouth can open"""
+    """Cut the mesh between joined lips, such as those of a scan, so that the mouth can open, and add a dark pocket"""
 
     bl_idname = "facemime.open_lips"
     bl_label = "Open Lips"
 
     def work(self, context: bpy.types.Context) -> None:
-        count = open_lips(subject(context))
-        report(self, "{count} edges cut between the lips, and a dark pocket added behind them", count=count)
+        head = subject(context)
+        hollow = len(open_border(object_of(head))) > 0
+        count = open_lips(head)
+        if hollow:
+            report(self, "A dark pocket added behind the lips")
+        else:
+            report(self, "{count} edges cut between the lips, and a dark pocket added behind them", count=count)
         _report_findings(self, context)
 
 

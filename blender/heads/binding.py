@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError, Message
 from ...core.heads.bind import Binding, bind_landmarks
-from ...core.heads.checks import EYES_SHUT, Finding, check_head
+from ...core.heads.checks import EYES_SHUT, HOLLOW, Finding, check_head
 from ...core.heads.landmark_vertices import TOO_COARSE
 from ...core.heads.portrait import Paint
 from ...core.heads.proposal import propose_regions
@@ -55,6 +55,7 @@ from .parts import (
     held_by_head,
     is_sorted,
     named_others,
+    open_border,
     skin_of_object,
     sort_character,
 )
@@ -227,7 +228,8 @@ def check_object(obj: bpy.types.Object | None) -> list[Finding]:
     """Check `obj` for problems; raises HeadError if it has no regions, or no landmarks on its skin."""
     mesh, obj = mesh_of(obj), object_of(obj)
     landmarks, weights, skin = read_landmarks(obj), read_regions(obj), current_skin(obj)
-    return check_head(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks], weights[:, skin.kept])
+    found = check_head(read_vertices(mesh)[skin.kept], skin.faces, skin.number[landmarks], weights[:, skin.kept])
+    return [*found, HOLLOW] if len(open_border(obj)) else found
 
 
 def missing_parts(obj: bpy.types.Object) -> list[tuple[str, str]]:

@@ -25,6 +25,7 @@ from .binding import propose_head_regions
 from .cutting import close_seams, copy_moved, edited, indices, move, separate, split_along, surface_of
 from .materials import mouth_material
 from .parts import current_skin
+from .pockets import POCKET_DEPTH, put_pocket
 
 _MAX_SUBDIVISIONS = 5
 _SKIRT = 0.15
@@ -33,27 +34,27 @@ _SKIRT = 0.15
 
 _LOWER_LIP = set(from_ibug((*range(55, 60), *range(65, 68))).tolist())
 _INNER = np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])
-_DEPTH = 0.3
-"""Depth of the pocket behind the lips, in outer-eye distances."""
 
 
 def open_lips(obj: bpy.types.Object | None) -> int:
     """Cut the mesh of `obj` between the lips, bind the inner lips to the two rims, and propose its regions again.
 
-    A dark pocket is added behind the cut, so that the open mouth cannot be seen through. Returns the number of edges
-    that were cut. Raises HeadError if the mesh has no landmarks, its lips are already open, or no line of edges leads
-    between them.
+    A dark pocket is added behind the cut, so that the open mouth cannot be seen through; behind lips that are open to
+    the inside of the head, it is added alone. Returns the number of edges in front of it. Raises HeadError if the mesh
+    has no landmarks, its lips are open and something is behind them, or no line of edges leads between them.
     """
     mesh, obj = mesh_of(obj), object_of(obj)
     landmarks, skin = read_landmarks(obj), current_skin(obj)
     if not lips_joined(SurfaceGraph(read_vertices(mesh)[skin.kept], skin.faces), skin.number[landmarks]):
+        if edges := put_pocket(obj):
+            return edges
         raise HeadError("The lips are already separate from each other, so the mouth can open. Nothing has to be cut.")
     close_seams(obj, skin)
     vertices, landmarks = read_vertices(mesh), read_landmarks(obj)
     graph = SurfaceGraph(vertices, read_faces(mesh))
     line = lip_line(graph, landmarks)
     unit = outer_eye_distance(vertices[landmarks])
-    upper, lower, moved = _cut(mesh, line, landmarks, _DEPTH * unit)
+    upper, lower, moved = _cut(mesh, line, landmarks, POCKET_DEPTH * unit)
     if not mesh.materials:
         mesh.materials.append(None)
     mesh.materials.append(mouth_material())

@@ -12,11 +12,12 @@ from numpy.typing import NDArray
 
 from ...core.errors import HeadError
 from ...core.face.landmarks import JAW, NOSE, outer_eye_distance
+from ...core.heads.hollow import hollow_rim
 from ...core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_brow
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
-from ...core.mesh.surface import NearestPoints, border_twins, islands
+from ...core.mesh.surface import NearestPoints, SurfaceGraph, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
 from ..characters import (
     mesh_within,
@@ -98,6 +99,19 @@ def current_skin(obj: bpy.types.Object) -> Skin:
     if (skin.number[landmarks] < 0).any():
         raise HeadError("Landmarks lie on parts that are not skin. Set these parts to Skin, or find the face again.")
     return skin
+
+
+def open_border(obj: bpy.types.Object) -> IntArray:
+    """Return the vertices of a head along its lips, (N,), if nothing is behind them; otherwise it is empty."""
+    mesh, landmarks, skin = mesh_of(obj), read_landmarks(obj), current_skin(obj)
+    places = read_vertices(mesh)
+    apart = np.ones(len(places), dtype=bool)
+    apart[skin.number >= 0] = False
+    meshes = [other for other in (*objects_of(obj), *parts_of(obj).values()) if other.type == "MESH"]
+    others = np.concatenate([places[apart], *(places_in(obj, other) for other in meshes)])
+    graph = SurfaceGraph(places[skin.kept], skin.faces)
+    rim = hollow_rim(graph, skin.number[landmarks], others)
+    return np.flatnonzero(np.isin(skin.number, rim))
 
 
 def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray[np.floating[Any]], skin: Skin) -> None:

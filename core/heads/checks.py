@@ -57,6 +57,14 @@ class Finding:
     step: str = ""
 
 
+HOLLOW = Finding(
+    Message("Nothing is behind the lips, so the open mouth shows the inside of the head."),
+    Message("Use Open Lips, which adds a dark pocket behind them, or model the inside of a mouth."),
+    "open_lips",
+)
+"""The finding for lips with a border and nothing behind it, which other parts of the head decide."""
+
+
 def check_head(vertices: FloatArray, faces: IntArray, landmarks: IntArray, region_weights: FloatArray) -> list[Finding]:
     """Return what would keep a head, with arrays as in `HeadRig`, from being driven well; nothing if it is ready."""
     findings = []

@@ -26,7 +26,7 @@ from ..face.landmarks import (
     outer_eye_distance,
     symmetry_plane,
 )
-from ..mesh.surface import SurfaceGraph, border_twins, surface_normals
+from ..mesh.surface import NearestPoints, SurfaceGraph, border_twins, surface_normals
 from ..numeric.arrays import FloatArray, IntArray
 from .lids import eyes_joined
 from .slits import lips_joined
@@ -58,6 +58,12 @@ _PULL = 0.4
 its root."""
 _WAY = 2.5
 """Length of the way along the surface to a vertex, relative to that of the pull, up to which it is considered."""
+_NOSTRILS, _MENTON = from_ibug((31, 32, 33, 34, 35)), from_ibug((7, 8, 9))
+"""Landmarks above and below the mouth."""
+_UPPER, _LOWER = np.concatenate([UPPER_LIP, MOUTH_INNER_UPPER]), np.concatenate([LOWER_LIP, MOUTH_INNER_LOWER])
+_CROSSED = 0.015
+"""Difference of two detours, in outer-eye distances, from which a vertex is certainly on one of the lips. Beside the
+corners of the mouth it is smaller on both."""
 _SYMMETRY = 2e-3
 """Distance, in outer-eye distances, within which places count as mirror images: twice that of a symmetric mesh."""
 
@@ -79,23 +85,47 @@ def onto_rims(graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, reac
 def on_own_lip(
     graph: SurfaceGraph, wanted: FloatArray, landmarks: IntArray, middle: NDArray[np.bool_] | None = None
 ) -> NDArray[np.intp]:
-    """Move inner lip landmarks that ended on the wrong lip to their own, which is nearer along the surface.
+    """Move landmarks of the lips that ended on the wrong lip to their own, which is nearer along the surface.
 
-    Those in the middle of a symmetric head stay among the vertices `middle` (V,).
+    Nose and chin tell the lips apart first: from the wrong one, the way to them leads around a corner of the mouth.
+    Then inner landmarks are compared with the outer ones. Those in the middle of a symmetric head stay among the
+    vertices `middle` (V,).
     """
     moved = np.array(landmarks, dtype=np.intp)
     if lips_joined(graph, landmarks):
         return moved
+    from_nose, from_chin = (_detours(graph, landmarks[seeds]) for seeds in (_NOSTRILS, _MENTON))
+    least = _CROSSED * outer_eye_distance(graph.vertices[landmarks])
+    for lip, own, other in ((_UPPER, from_nose, from_chin), (_LOWER, from_chin, from_nose)):
+        for i in lip[own[moved[lip]] > other[moved[lip]] + least]:
+            moved[i] = _nearest_within(graph, wanted[i], _kept(own < other - least, i, middle), int(moved[i]))
+    landmarks = moved.copy()
     to_upper, to_lower = (graph.path_lengths(landmarks[rim].tolist()) for rim in (UPPER_LIP, LOWER_LIP))
     for inner, own, other in (
         (MOUTH_INNER_UPPER, to_upper, to_lower),
         (MOUTH_INNER_LOWER, to_lower, to_upper),
     ):
         for i in inner[own[moved[inner]] >= other[moved[inner]]]:
-            within = own < other if middle is None or MIRROR[i] != i else (own < other) & middle
-            if len(lip := np.flatnonzero(within)):
-                moved[i] = lip[np.argmin(np.linalg.norm(graph.vertices[lip] - wanted[i], axis=1))]
+            moved[i] = _nearest_within(graph, wanted[i], _kept(own < other, i, middle), int(moved[i]))
     return moved
+
+
+def _kept(within: NDArray[np.bool_], landmark: int, middle: NDArray[np.bool_] | None) -> NDArray[np.bool_]:
+    """Return those of the vertices `within` (V,) to which a landmark may move."""
+    return within if middle is None or MIRROR[landmark] != landmark else within & middle
+
+
+def _nearest_within(graph: SurfaceGraph, wanted: FloatArray, within: NDArray[np.bool_], otherwise: int) -> int:
+    """Return the vertex nearest to a place (3,) of those `within` (V,), if there are any."""
+    lip = np.flatnonzero(within)
+    return int(lip[np.argmin(np.linalg.norm(graph.vertices[lip] - wanted, axis=1))]) if len(lip) else otherwise
+
+
+def _detours(graph: SurfaceGraph, seeds: IntArray) -> FloatArray:
+    """Return by how much the way along the surface to the nearest of some vertices exceeds the straight one, (V,)."""
+    straight, _ = NearestPoints(graph.vertices[seeds]).query(graph.vertices)
+    straight = np.linalg.norm(graph.vertices - graph.vertices[seeds[straight[:, 0]]], axis=1)
+    return np.asarray(graph.path_lengths(seeds.tolist()) - straight)
 
 
 def onto_corners(graph: SurfaceGraph, faces: IntArray, landmarks: IntArray, forward: FloatArray) -> NDArray[np.intp]:

@@ -12,6 +12,7 @@ from ..face.landmarks import (
     BROWS,
     EYE_LEFT,
     EYE_RIGHT,
+    JAW,
     MOUTH_CORNERS,
     MOUTH_INNER_LOWER,
     MOUTH_INNER_UPPER,
@@ -50,6 +51,7 @@ lash or brow if it is narrower."""
 _ALONG = 0.15
 """Distance, in outer-eye distances, from the rim of an eye or the middle of a brow within which lashes and brows lie:
 on six characters 0.02 to 0.13. Pieces of a fringe are as near, but narrower."""
+_CHIN = int(JAW[8])
 _CLOSE = 0.12
 """Distance from the skin of the face, in outer-eye distances, within which a piece rides on it."""
 
@@ -215,7 +217,7 @@ def _from_line(vertices: FloatArray, line: FloatArray) -> FloatArray:
 
 
 def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
-    """Return whether a piece lies behind the lips and is narrower than the face there."""
+    """Return whether a piece lies behind the lips, above the chin, and is narrower than the face there."""
     lips = np.asarray(points)[np.concatenate([MOUTH_INNER_UPPER, MOUTH_INNER_LOWER])].mean(axis=0)
     width = float(np.ptp(np.asarray(points)[MOUTH_CORNERS][:, 0]))
     low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
@@ -226,6 +228,7 @@ def _is_in_mouth(piece: Piece, points: FloatArray, unit: float) -> bool:
         and abs(middle[1] - lips[1]) < _MOUTH[1] * unit
         and middle[2] > lips[2] + 0.03 * unit
         and low[1] > brow
+        and high[1] < float(np.asarray(points)[_CHIN][1])
         and (high - low)[0] < 1.5 * width
         and (high - low)[1] < _TALLEST * unit
     )

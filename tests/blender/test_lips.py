@@ -4,10 +4,15 @@ import bmesh
 import bpy
 import numpy as np
 import pytest
+from mathutils.bvhtree import BVHTree
 
-from facemime.blender.heads.binding import check_object
+from facemime.blender.frames import to_blender
+from facemime.blender.heads.binding import check_object, propose_head_regions
+from facemime.blender.heads.materials import mouth_material
 from facemime.blender.heads.new_heads import add_head
-from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_vertices
+from facemime.blender.heads.openings import open_lips
+from facemime.blender.meshes import read_faces, read_landmarks, read_regions, read_vertices, write_landmarks
+from facemime.blender.names import HEAD_PROPERTY
 from facemime.blender.rigs import read_rig
 from facemime.cli.character import bind
 from facemime.core.drive.driver import HeadDriver
@@ -145,3 +150,55 @@ def test_opening_lips_requires_landmarks():
     add_head(bpy.context)
     with pytest.raises(RuntimeError, match="already separate"):
         bpy.ops.facemime.open_lips()
+
+
+@pytest.fixture
+def hollow(scan):
+    """The scan with open lips and nothing behind them."""
+    open_lips(scan)
+    landmarks = read_landmarks(scan)
+    work = bmesh.new()
+    work.from_mesh(scan.data)
+    bmesh.ops.delete(work, geom=[face for face in work.faces if face.material_index == 1], context="FACES_ONLY")
+    bmesh.ops.delete(work, geom=[vertex for vertex in work.verts if not vertex.link_faces], context="VERTS")
+    work.to_mesh(scan.data)
+    work.free()
+    scan.data.materials.pop()
+    write_landmarks(scan.data, landmarks)  # the pocket's vertices were the last
+    propose_head_regions(scan)
+    return scan
+
+
+def behind_lips(head):
+    """Whether a ray between the lips, which the mouth opens by their regions, hits something dark near them."""
+    places, landmarks = read_vertices(head.data), read_landmarks(head)
+    places[:, 1] += 0.3 * UNIT * (read_regions(head)[2] > 0.5)
+    open_mouth = places[landmarks[MOUTH_INNER_UPPER[1]]] + (0.0, 0.15 * UNIT, 0.0)
+    tree = BVHTree.FromPolygons(places.tolist(), [face.vertices[:] for face in head.data.polygons])
+    hit, _, face, _ = tree.ray_cast((open_mouth - (0.0, 0.0, UNIT)).tolist(), (0.0, 0.0, 1.0))
+    return hit is not None and head.data.materials[head.data.polygons[face].material_index] == mouth_material()
+
+
+def test_lips_with_nothing_behind_them_get_a_dark_pocket_on_request(hollow):
+    assert "open_lips" in [finding.step for finding in check_object(hollow)]
+    before, face = read_vertices(hollow.data), read_landmarks(hollow)
+    assert not behind_lips(hollow)
+    assert bpy.ops.facemime.open_lips() == {"FINISHED"}
+    np.testing.assert_array_equal(read_vertices(hollow.data)[: len(before)], before)
+    np.testing.assert_array_equal(read_landmarks(hollow), face)
+    assert behind_lips(hollow)
+    assert "open_lips" not in [finding.step for finding in check_object(hollow)]
+    with pytest.raises(RuntimeError, match="already separate"):
+        bpy.ops.facemime.open_lips()
+
+
+def test_teeth_behind_open_lips_are_an_inside(hollow):
+    lips = read_vertices(hollow.data)[read_landmarks(hollow)[MOUTH_INNER_UPPER[1]]]
+    bpy.ops.mesh.primitive_uv_sphere_add(radius=0.1 * UNIT, location=to_blender(lips + (0.0, 0.0, 0.2 * UNIT)).tolist())
+    teeth = bpy.context.active_object
+    teeth[HEAD_PROPERTY] = hollow
+    assert "open_lips" not in [finding.step for finding in check_object(hollow)]
+
+
+def test_the_inside_of_a_built_in_head_is_not_missing():
+    assert check_object(add_head(bpy.context)) == []

@@ -12,7 +12,16 @@ from facemime.core.deform.lid_rims import lid_rims
 from facemime.core.drive.driver import HeadDriver
 from facemime.core.drive.glue import Glue, Roots, nearest_triangles
 from facemime.core.drive.parts import PartDriver
-from facemime.core.face.landmarks import BROWS, EYE_LEFT, EYE_RIGHT, LIPS, LOWER_LIDS, UPPER_LIDS, outer_eye_distance
+from facemime.core.face.landmarks import (
+    BROWS,
+    EYE_LEFT,
+    EYE_RIGHT,
+    JAW,
+    LIPS,
+    LOWER_LIDS,
+    UPPER_LIDS,
+    outer_eye_distance,
+)
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.heads.built_in import load_head
 from facemime.core.heads.eyeballs import part_eyeball, sphere_of_lids
@@ -41,6 +50,16 @@ def test_a_tongue_alone_in_a_mouth_moves_with_the_jaw_as_a_whole():
     tongue = next(part.vertices for part in head.parts if part.name == "tongue")
     for raised in np.linspace(0.0, 0.06, 4) * outer_eye_distance(points):
         assert sort_pieces([Piece(tongue - (0.0, raised, 0.0), ("mouth",))], points) == [Part.TEETH_LOWER]
+
+
+def test_a_neck_without_a_name_below_the_chin_is_not_teeth():
+    points = built_in_head().vertices[built_in_head().landmarks].astype(np.float64)
+    unit, chin = outer_eye_distance(points), points[JAW[8]]
+    angle = np.linspace(0.0, 2.0 * np.pi, 16)
+    ring = 0.4 * unit * np.column_stack([np.cos(angle), np.zeros(16), np.sin(angle)])
+    rings = [ring + chin + (0.0, low * unit, 0.7 * unit) for low in (-0.25, 0.1)]
+    found = sort_pieces([Piece(np.concatenate(rings), ("Material",), away=0.5, moving=False)], points)
+    assert found == [Part.ON_HEAD]
 
 
 def test_both_rows_of_teeth_in_one_piece_are_divided_even_without_anything_else():
