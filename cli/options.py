@@ -295,6 +295,7 @@ def puppet_job(options: Options, **more: Any) -> PuppetJob:
         given["keys"] = "mapped"
     elif given["map"] is not None and given["keys"] != "mapped":
         raise FacemimeError("--map is used with --keys mapped only. Add --keys mapped, or remove --map.")
+    given["positive"] |= given.get("gltf") is not None  # many programs that read it cut off values below 0
     return filled(PuppetJob, given, **more)
 
 

@@ -231,16 +231,16 @@ def value_path(name: str) -> str:
     return f'key_blocks["{bpy.utils.escape_identifier(name)}"].value'
 
 
-def add_keys(members: Sequence[Member], names: Sequence[str], offsets: NDArray[np.floating[Any]]) -> None:
-    """Add shape keys, from -1 to 1, to the meshes of a head by their displacements (K, A, 3)."""
-    for obj, own in ((member.obj, member.local_offsets(offsets)) for member in members):
+def add_keys(members: Sequence[Member], keys: MeshKeys) -> None:
+    """Add shape keys to the meshes of a head."""
+    for obj, own in ((member.obj, member.local_offsets(keys.offsets)) for member in members):
         if mesh_of(obj).shape_keys is None:
             obj.shape_key_add(name="Basis", from_mix=False)
         rest = key_points(keys_of(obj).reference_key)
-        for name, mode in zip(names, own, strict=True):
+        for name, mode, lower, upper in zip(keys.names, own, keys.lower, keys.upper, strict=True):
             key = obj.shape_key_add(name=name, from_mix=False)
             key.points.foreach_set("co", (rest + mode).reshape(-1))
-            key.slider_min, key.slider_max = -1.0, 1.0
+            key.slider_min, key.slider_max = float(lower), float(upper)
             key.value = 0.0
 
 

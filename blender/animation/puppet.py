@@ -11,7 +11,15 @@ import numpy as np
 
 from ...core.bake.arkit import arkit_coefficients
 from ...core.bake.bake_settings import AUTOMATIC, CONTROLS, BakeSettings
-from ...core.bake.fit import MotionBasis, fit_basis, fit_weights, left_over, mix_errors, mixed_motion
+from ...core.bake.fit import (
+    MotionBasis,
+    fit_basis,
+    fit_positive_basis,
+    fit_weights,
+    left_over,
+    mix_errors,
+    mixed_motion,
+)
 from ...core.bake.own_keys import lid_factors, look_factors, reaching
 from ...core.bake.point_cache import SUFFIX
 from ...core.drive.driver import HeadMotion, drive_take
@@ -230,16 +238,20 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
 
 
 def _new(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
-    basis = fit_basis(motion.vertices, TOLERANCE * unit, bake.max_keys)
-    keys = _added_keys(basis, "")
+    basis = _fit(motion.vertices, TOLERANCE * unit, bake)
+    keys = _added_keys(basis, "", bake)
     return _values_plan(obj, keys, basis.weights, timing, unit, bake, basis.worst_error, added=keys)
 
 
-def _added_keys(basis: MotionBasis, kind: str) -> MeshKeys:
+def _fit(motion: FloatArray, tolerance: float, bake: BakeSettings) -> MotionBasis:
+    return (fit_positive_basis if bake.positive else fit_basis)(motion, tolerance, bake.max_keys)
+
+
+def _added_keys(basis: MotionBasis, kind: str, bake: BakeSettings) -> MeshKeys:
     """Return the keys that a bake adds for a basis, which are numbered."""
     names = tuple(f"{BAKED_KEY_PREFIX}{kind}{number + 1:02d}" for number in range(len(basis.modes)))
     ends = np.ones(len(names))
-    return MeshKeys(names, basis.modes, -ends, ends)
+    return MeshKeys(names, basis.modes, 0.0 * ends if bake.positive else -ends, ends)
 
 
 def _named(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: float, bake: BakeSettings) -> Plan:
@@ -250,10 +262,10 @@ def _named(obj: bpy.types.Object, motion: HeadMotion, timing: Timing, unit: floa
         error, _ = mix_errors(motion.vertices, keys.offsets, named)
         return _values_plan(obj, keys, named, timing, unit, bake, error)
     left, error = left_over(motion.vertices, keys.offsets, named)
-    basis = fit_basis(left, _RESIDUAL_TOLERANCE * unit, bake.max_keys)
+    basis = _fit(left, _RESIDUAL_TOLERANCE * unit, bake)
     if not len(basis.modes):
         return _values_plan(obj, keys, named, timing, unit, bake, error)
-    added = _added_keys(basis, f"{RESIDUAL} ")
+    added = _added_keys(basis, f"{RESIDUAL} ", bake)
     weights = np.column_stack([named, basis.weights])
     return _values_plan(
         obj,
@@ -362,7 +374,7 @@ def _values_plan(
     def write(action: CharacterAction) -> list[Silenced]:
         members = members_of(obj)
         if added is not None:
-            add_keys(members, added.names, added.offsets)
+            add_keys(members, added)
         fits_again = timing.is_whole and not bake.keep_animation
         LastBake.current = LastBake(obj.name, keys, values, curves, timing.keyed, unit) if fits_again else None
         return bake_values(members, curves, timing.keyed, action=action, nla=bake.nla, keep=bake.keep_animation)

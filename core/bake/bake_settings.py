@@ -31,6 +31,8 @@ class BakeSettings:
         Maximum number of new shape keys; the report states the error.
     residual : bool
         Whether "named" also adds shape keys for what the existing ones cannot show.
+    positive : bool
+        Whether new shape keys have values of 0 to 1 alone. Those that move both ways become two.
     whole_frames : bool
         Whether keyframes are on whole frames of the scene. Otherwise they are at the times of the take, one for each of
         its frames, and linear.
@@ -92,6 +94,11 @@ class BakeSettings:
         True,
         "Residual Keys",
         "Add shape keys for what the existing ones cannot show, in a group of curves that can be muted",
+    )
+    positive: bool = setting(
+        False,
+        "Positive Values",
+        "Split new shape keys that move both ways in two, as many programs cut off values below 0",
     )
     whole_frames: bool = setting(
         True,

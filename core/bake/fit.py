@@ -26,6 +26,8 @@ _LONG = 4
 """Number of frames per mixture from which a motion is long."""
 RIDGE = 1e-4
 """Ridge as a share of the mean square of a key. Similar keys then share motion, and undetermined ones stay at 0."""
+_NEGLIGIBLE = 1e-3
+"""Largest weight in a direction, of 1 in the other, that is left out when a mode is split."""
 _FRAMES_AT_ONCE = 64
 """Number of frames processed at a time."""
 
@@ -99,6 +101,34 @@ def fit_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> Moti
         modes=np.ascontiguousarray((modes * peak[:, None]).reshape(count, vertices, 3)),
         weights=np.ascontiguousarray(weights / peak),
         worst_error=worst,
+    )
+
+
+def fit_positive_basis(motion: FloatArray, tolerance: float, max_modes: int = 64) -> MotionBasis:
+    """Fit a basis as `fit_basis` does, whose weights are 0 to 1: modes that move both ways become two.
+
+    Parameters are as there. If there would be more than `max_modes`, half as many singular vectors are used.
+    """
+    split = _split(fit_basis(motion, tolerance, max_modes))
+    if len(split.modes) > max_modes > 1:
+        split = _split(fit_basis(motion, tolerance, max_modes // 2))
+    return split
+
+
+def _split(basis: MotionBasis) -> MotionBasis:
+    """Return a basis with a mode for each direction in which one of `basis` moves."""
+    modes, weights = [], []
+    for mode, column in zip(basis.modes, basis.weights.T, strict=True):
+        for side in (1.0, -1.0):
+            peak = float((side * column).max(initial=0.0))
+            if peak > _NEGLIGIBLE:
+                modes.append(side * peak * mode)
+                weights.append(np.clip(side * column, 0.0, None) / peak)
+    shape = len(weights), len(basis.weights)
+    return MotionBasis(
+        modes=np.array(modes, dtype=np.float32).reshape(-1, *basis.modes.shape[1:]),
+        weights=np.ascontiguousarray(np.reshape(weights, shape).T, dtype=np.float32),
+        worst_error=basis.worst_error,
     )
 
 

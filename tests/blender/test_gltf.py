@@ -62,13 +62,16 @@ def shown(frames=FRAMES) -> list[np.ndarray]:
     return out
 
 
-def reopened(path: Path) -> list[np.ndarray]:
-    """The same for a file that is imported into an empty scene, in which it begins at frame 0."""
+def reopened(path: Path, *, cut_off: bool = False) -> list[np.ndarray]:
+    """The same for a file that is imported into an empty scene, in which it begins at frame 0.
+
+    Blender gives imported keys values of 0 to 1, and other values are `cut_off`; glTF has no limits.
+    """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     bpy.context.scene.render.fps = 25
     bpy.ops.import_scene.gltf(filepath=str(path))
-    for key in (key for keys in bpy.data.shape_keys for key in keys.key_blocks):
-        key.slider_min, key.slider_max = -10.0, 10.0  # to which Blender clamps; glTF has no limits
+    for key in (key for keys in bpy.data.shape_keys for key in keys.key_blocks if not cut_off):
+        key.slider_min, key.slider_max = -10.0, 10.0
     return shown([frame - 1 for frame in FRAMES])
 
 
@@ -104,6 +107,18 @@ def test_the_clip_shows_what_blender_shows(tmp_path, keys):
     assert "cameras" not in stated
     assert np.abs(wanted[0] - wanted[2]).max() > 1e-3
     assert largest_distance(wanted, reopened(path)) < 2e-5
+
+
+def test_positive_values_show_the_same_where_negative_ones_are_cut_off(tmp_path):
+    distances = []
+    for positive in (True, False):
+        bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
+        head = baked(add_head(bpy.context, units=False), keys="new", positive=positive)
+        wanted, path = shown(), tmp_path / "head.glb"
+        assert all(key.slider_min == (0.0 if positive else -1.0) for key in head.data.shape_keys.key_blocks[1:])
+        export_gltf([head], path)
+        distances.append(largest_distance(wanted, reopened(path, cut_off=True)))
+    assert distances[0] < 2e-5 and distances[1] > 1e-3
 
 
 @pytest.mark.parametrize("add_on", ["installed", "dividing"])

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from facemime.core.bake.fit import fit_basis
+from facemime.core.bake.fit import fit_basis, fit_positive_basis
 from facemime.core.drive.drive_settings import DriveSettings
 from facemime.core.drive.driver import HeadDriver, HeadMotion, drive_take, select_distinct_frames
 from facemime.core.face.names import N_ACTIONS
@@ -43,9 +43,24 @@ def test_the_modes_of_a_long_motion_are_as_few_as_those_of_singular_vectors(seed
     np.testing.assert_allclose(np.linalg.norm(rebuilt - motion, axis=2).max(), basis.worst_error, atol=1e-4)
 
 
+@settings(max_examples=20)
+@given(st.integers(0, 10_000), st.integers(1, 8), st.integers(2, 20))
+def test_a_positive_basis_has_weights_of_0_to_1_and_shows_the_same_motion(seed, rank, most):
+    rng = np.random.default_rng(seed)
+    motion = np.einsum("nk,kvd->nvd", rng.normal(size=(40, rank)), rng.normal(size=(rank, 50, 3))).astype(np.float32)
+    basis = fit_positive_basis(motion, 1e-3, max_modes=most)
+    assert len(basis.modes) <= most
+    assert basis.weights.min(initial=0.0) >= 0.0 and basis.weights.max(initial=0.0) <= 1.0
+    rebuilt = np.einsum("nk,kvd->nvd", basis.weights, basis.modes)
+    assert np.linalg.norm(rebuilt - motion, axis=2).max() <= basis.worst_error + 0.1
+    if most >= 2 * rank:
+        assert basis.worst_error <= 1e-3
+
+
 def test_a_motion_at_rest_needs_no_mode():
-    basis = fit_basis(np.zeros((10, 5, 3), np.float32), 0.01)
-    assert basis.modes.shape == (0, 5, 3) and basis.weights.shape == (10, 0) and basis.worst_error == 0.0
+    for fit in (fit_basis, fit_positive_basis):
+        basis = fit(np.zeros((10, 5, 3), np.float32), 0.01)
+        assert basis.modes.shape == (0, 5, 3) and basis.weights.shape == (10, 0) and basis.worst_error == 0.0
 
 
 def test_the_error_reveals_too_few_modes():
