@@ -151,7 +151,7 @@ class _Maker:
         self._rest = np.asarray(deformer.rest)
         self._points = np.asarray(skin.vertices, dtype=np.float64)[skin.landmarks]
         weights = np.asarray(skin.region_weights)
-        self._eyes = EyeballContact(skin.vertices, weights.sum(axis=0), skin.eyeballs)
+        self._eyes = EyeballContact(skin.vertices, weights.sum(axis=0), skin.eyeballs, skin.faces)
         faces = np.empty((0, 3), dtype=np.intp) if skin.faces is None else skin.faces
         self._rims = [] if skin.faces is None else lid_rims(skin.vertices, faces, skin.landmarks, weights)
         self._slits = SlitContact(skin.vertices, faces, skin.landmarks, weights)

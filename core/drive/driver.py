@@ -152,7 +152,7 @@ class HeadDriver:
                 alone = replace(alone, region_weights=sharp)
             self.deformer = head_deformer(alone, options.kernel, incremental=options.incremental, exact=options.exact)
             self.modes = _modes(alone, self.deformer, options)
-            self.contact = EyeballContact(alone.vertices, alone.region_weights.sum(axis=0), rig.eyeballs)
+            self.contact = EyeballContact(alone.vertices, alone.region_weights.sum(axis=0), rig.eyeballs, alone.faces)
             self.parts = None if skin is None else PartDriver(rig, skin, alone)
         self.eyes = EyeDriver(self.neutral.gaze, self.neutral.vergence)
         if reuse is not None:

@@ -27,6 +27,14 @@ _ROBUST_SHARE = 0.8
 """Share of the vertices that each fit uses: those nearest to the last sphere, as a cornea bulges."""
 _MAX_BULGE = 1.2
 """Largest distance of the cornea's apex from the centre of the eye, in radii; anything farther out is not a cornea."""
+_OUTSIDE = 0.93
+"""Distance in radii from which a vertex at rest belongs to the outside of a lid; the skin behind it is deeper."""
+_COARSE = 1.05
+"""Distance in radii from which the faces of lids count as coarse; nearly all of the built-in heads are finer."""
+_FARTHEST = 1.25
+"""Largest distance in radii that the vertices of coarse lids keep; beyond it, lids would bulge."""
+_MOVED = 0.4
+"""Motion in radii beyond which they keep it in full."""
 _SLACK = 1e-5
 """Share of the squared distance that a vertex may lose to rounding without having moved."""
 
@@ -187,24 +195,42 @@ class EyeballContact:
         Sum of the region weights. Vertices of weight 0 do not move and are ignored.
     eyeballs : (E, 4) array
         Centre and radius of each eyeball, in the frame and unit of `rest`.
+    faces : (F, K) array of int, optional
+        Vertices of each face, padded with -1.
 
     Notes
     -----
     Vertices that are inside an eyeball at rest (the inner rim of a lid) may stay as close to its centre as they were.
+    Those on the outside of coarse lids may not where they have moved over the eyeball: there they keep a distance at
+    which the faces between them are outside, too.
     """
 
-    def __init__(self, rest: FloatArray, weights: FloatArray, eyeballs: FloatArray) -> None:
-        rows, centres, nearest = [], [], []
+    def __init__(
+        self, rest: FloatArray, weights: FloatArray, eyeballs: FloatArray, faces: IntArray | None = None
+    ) -> None:
+        rows, centres, nearest, farthest = [], [], [], []
+        places = np.asarray(rest, dtype=np.float64)
+        sizes = None if faces is None else _face_sizes(places, np.asarray(faces))
         for x, y, z, radius in np.asarray(eyeballs, dtype=np.float64).reshape(-1, 4):
             distance = np.linalg.norm(rest - (x, y, z), axis=1)
             near = np.flatnonzero((weights > 0) & (distance < _REACH * radius))
             rows.append(near)
             centres.append(np.tile([x, y, z], (len(near), 1)))
             nearest.append(np.minimum(distance[near], radius))
+            farthest.append(nearest[-1].copy())
+            if sizes is None:
+                continue
+            chord = np.hypot(radius, 0.5 * sizes[near])
+            coarse = (distance[near] > _OUTSIDE * radius) & (chord > _COARSE * radius)
+            farthest[-1][coarse] = np.minimum(chord[coarse], _FARTHEST * radius)
         self._rows: NDArray[np.intp] = np.concatenate([np.empty(0, dtype=np.intp), *rows])
         self._centres = np.concatenate([np.empty((0, 3)), *centres]).astype(np.float32)
         self._nearest = np.concatenate([np.empty(0), *nearest]).astype(np.float32)
         self._squared = np.square(self._nearest) * (1.0 - _SLACK)
+        wider = np.concatenate([np.empty(0), *farthest]).astype(np.float32) - self._nearest
+        self._wide = np.flatnonzero(wider > 0.0)
+        self._wider = wider[self._wide]
+        self._rest = places[self._rows[self._wide]].astype(np.float32)
         self._outward = np.empty_like(self._centres)
         self._products = np.empty_like(self._centres)
         self._ones = np.ones(3, dtype=np.float32)
@@ -220,9 +246,27 @@ class EyeballContact:
         outward = vertices.take(self._rows, axis=0, out=self._outward, mode="clip")
         np.subtract(outward, self._centres, out=outward)
         squared = np.multiply(outward, outward, out=self._products) @ self._ones
-        deep = (squared < self._squared).nonzero()[0]
+        nearest, least = self._nearest, self._squared
+        if len(self._wide):
+            moved = np.linalg.norm(vertices[self._rows[self._wide]] - self._rest, axis=1)
+            share = np.clip(moved / (_MOVED * nearest[self._wide]), 0.0, 1.0)
+            nearest = nearest.copy()
+            nearest[self._wide] += self._wider * share * share * (3.0 - 2.0 * share)
+            least = np.square(nearest) * np.float32(1.0 - _SLACK)
+        deep = (squared < least).nonzero()[0]
         if len(deep):
-            vertices[self._rows[deep]] = self._centres[deep] + _pushed(outward[deep], self._nearest[deep])
+            vertices[self._rows[deep]] = self._centres[deep] + _pushed(outward[deep], nearest[deep])
+
+
+def _face_sizes(places: FloatArray, faces: IntArray) -> FloatArray:
+    """Return the largest distance from each vertex to another one of its faces, (V,)."""
+    farthest = np.zeros(len(places))
+    for shift in range(1, faces.shape[1]):
+        other = np.roll(faces, shift, axis=1)
+        ends = np.stack([faces, other], axis=-1)[(faces >= 0) & (other >= 0)]
+        away = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1)
+        np.maximum.at(farthest, ends[:, 0], away)
+    return farthest
 
 
 def _pushed(outward: NDArray[np.float32], least: NDArray[np.float32]) -> NDArray[np.float32]:
