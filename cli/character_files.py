@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
@@ -151,6 +152,13 @@ def open_file(path: Path) -> None:
         if suffix == ".vrm" and (count := add_expressions(gltf_of(path)[0], bpy.context.scene.objects)):
             tell(f"{path.name} is driven by {count} expressions of its own.")
     except (RuntimeError, AttributeError, OSError, ValueError, MemoryError) as error:
+        if extension := re.search(r"Extension (\w+) is not available", str(error)):
+            raise SourceError(
+                "{path} is stored with {extension}, which this version of Blender cannot read. "
+                "Export it again without compression, or use a .blend file.",
+                path=path,
+                extension=extension[1],
+            ) from error
         raise SourceError(
             "{path} cannot be imported by this version of Blender ({error}). Export it again, or use a .blend file.",
             path=path,

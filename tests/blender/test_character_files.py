@@ -153,6 +153,14 @@ def test_a_file_without_a_mesh_is_refused_with_what_it_has_instead(tmp_path, wri
         likely_mesh(tmp_path / "a.blend")
 
 
+@pytest.mark.parametrize("extension", ["EXT_meshopt_compression", "KHR_texture_basisu"])
+def test_a_file_that_needs_what_blender_cannot_read_says_what_it_is(tmp_path, extension):
+    stated = {"asset": {"version": "2.0"}, "extensionsUsed": [extension], "extensionsRequired": [extension]}
+    (tmp_path / "small.gltf").write_text(json.dumps(stated))
+    with pytest.raises(SourceError, match=f"{extension}.*without compression"):
+        open_file(tmp_path / "small.gltf")
+
+
 def test_images_that_were_left_behind_are_named(tmp_path, capsys):
     head, place = add_head(bpy.context), tmp_path / "images" / "skin.png"
     image = bpy.data.images.new("skin", 8, 8)
