@@ -23,8 +23,9 @@ from ..core.heads.eyeballs import sphere_of_lids
 from ..core.heads.part_names import FaceBones
 from ..core.heads.rig import FaceParts, Part
 from ..core.numeric import linalg
+from .bone_marks import mark_bone, marked_bone
 from .frames import HEAD_TO_BLENDER, from_blender, to_blender
-from .meshes import can_be_driven, driven_by_keys, mesh_of, posed_bones, read_faces, read_vertices, rest_bones
+from .meshes import can_be_driven, driven_by_keys, mesh_of, read_faces, read_vertices, rest_bones
 from .names import (
     ARMATURE_PROPERTY,
     BONES_PROPERTY,
@@ -41,6 +42,8 @@ _MOVED = (Part.ON_SKIN, Part.EYE_RIGHT, Part.EYE_LEFT, Part.TEETH_LOWER)
 _MIN_EYE = 8
 """Fewest vertices of an eye to which a sphere is fitted."""
 _EYE_BONES = {Part.EYE_RIGHT: "eye_right", Part.EYE_LEFT: "eye_left"}
+_MARK = "mark"
+"""Where the end of the marks of bones is stored, the name that the head had then."""
 
 
 @dataclass(frozen=True)
@@ -245,9 +248,7 @@ def mesh_within(
 
 
 def part_eyeballs(head: bpy.types.Object) -> NDArray[np.float64]:
-    """Return (E, 4) centre and radius, in the head frame, of the sphere over which the lids slide, for each round eye
-    among the parts of a face, whether its vertices or a bone turn it.
-    """
+    """Return (E, 4) centre and radius, in the head frame, of the sphere over which the lids of each round eye slide."""
     eyes = [part_mesh(head, part)[0] for part in _EYE_BONES]
     spheres = [sphere_of_lids(eye) for eye in eyes if len(eye) > _MIN_EYE]
     return np.array([sphere for sphere in spheres if sphere is not None]).reshape(-1, 4)
@@ -281,11 +282,18 @@ def write_kinds(mesh: bpy.types.Mesh, kinds: NDArray[np.integer[Any]]) -> None:
 
 def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBones]:
     """Return the armature that follows the pose of `head`, and its bones; those that no longer exist are ""."""
-    armature, stored = pointed_to(head, head.get(ARMATURE_PROPERTY)), head.get(BONES_PROPERTY)
-    if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not hasattr(stored, "to_dict"):
+    armature, stored = pointed_to(head, head.get(ARMATURE_PROPERTY)), stored_bones(head)
+    if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not stored:
         return None, FaceBones()
-    names = {key: str(name) for key, name in stored.to_dict().items() if str(name) in posed_bones(armature)}
-    return armature, FaceBones(**{key: names.get(key, "") for key in FaceBones.__dataclass_fields__})
+    named = {key: name for key, name in stored.items() if key in FaceBones.__dataclass_fields__ and name}
+    end = stored.get(_MARK, "")
+    return armature, FaceBones(**{key: marked_bone(armature, name, f"{key} {end}") for key, name in named.items()})
+
+
+def stored_bones(head: bpy.types.Object) -> dict[str, str]:
+    """Return the names that the bones of `head` had when they were stored, by the fields of `FaceBones`."""
+    stored = head.get(BONES_PROPERTY)
+    return {key: str(name) for key, name in stored.to_dict().items()} if hasattr(stored, "to_dict") else {}
 
 
 def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones: FaceBones) -> None:
@@ -295,7 +303,10 @@ def write_bones(head: bpy.types.Object, armature: bpy.types.Object | None, bones
             del head[name]
     if armature is not None:
         head[ARMATURE_PROPERTY] = armature
-        head[BONES_PROPERTY] = {key: getattr(bones, key) for key in FaceBones.__dataclass_fields__}
+        names = {key: getattr(bones, key) for key in FaceBones.__dataclass_fields__}
+        head[BONES_PROPERTY] = {**names, _MARK: head.name}
+        for key, name in names.items():
+            mark_bone(armature, name, f"{key} {head.name}")
 
 
 def rest_rotation(obj: bpy.types.Object) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ Posable = bpy.types.Object | bpy.types.PoseBone
 ROTATIONS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
 """Channels by rotation mode; all other modes are orders of Euler angles."""
 _LIVE = "live"
-"""Mark of a pose that a session sets, rather than a bake."""
+"""Mark of a pose that a session sets, rather than a bake: the name that the object or bone had at its start."""
 _DELTAS = "deltas"
 """Values of an object's delta rotations before a session, which poses another one if the user changes the mode."""
 _SAME = 1e-5
@@ -57,6 +57,12 @@ def own_pose(owner: Posable) -> OwnPose:
     return OwnPose(Vector(stored["location"]), matrix_of(stored["mode"], stored["rotation"]))
 
 
+def pose_of(owner: Posable) -> OwnPose:
+    """Return the pose that the channels hold now, whoever has set them."""
+    values = _channels(owner)
+    return OwnPose(Vector(values["location"]), matrix_of(owner.rotation_mode, values["rotation"]))
+
+
 def own_mode(owner: Posable) -> str:
     """Return the rotation mode that the user chose, even while a pose needs another."""
     stored = _stored(owner)
@@ -82,13 +88,24 @@ def begin_live(owner: Posable) -> None:
     """End what an earlier session left, and remember the user's own pose until the session that begins has ended."""
     release_own(owner)
     hold_own(owner, animated=isinstance(owner, bpy.types.Object))
-    stored = {**(_stored(owner) or {}), _LIVE: True}
+    stored = {**(_stored(owner) or {}), _LIVE: owner.name}
     if isinstance(owner, bpy.types.Object):
         stored[_DELTAS] = {
             "rotation_euler": owner.delta_rotation_euler[:],
             "rotation_quaternion": owner.delta_rotation_quaternion[:],
         }
     owner[OWN_POSE_PROPERTY] = stored
+
+
+def live_as(owner: Posable) -> str | None:
+    """Return the name of an object or a bone when the session that poses it began; None if no session does."""
+    stored = _stored(owner) or {}
+    return str(stored[_LIVE]) if _LIVE in stored else None
+
+
+def note_name(owner: Posable) -> None:
+    """Let `live_as` return the present name of an object or a bone, which was renamed in a session."""
+    owner[OWN_POSE_PROPERTY] = {**(_stored(owner) or {}), _LIVE: owner.name}
 
 
 def move_own(owner: Posable, values: Mapping[tuple[str, int], float]) -> None:

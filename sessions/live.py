@@ -219,6 +219,7 @@ class LiveSession(Session):
         fetched = perf_counter()
         self._number, self.shown = latest.number, latest
         require_one_left(self.heads)
+        self.warn_of_applied()
         before = self._written + (None,) * len(self.heads)
         for shown, frame, flat, written in zip(self.heads, latest.heads, latest.prepared, before, strict=False):
             if frame is not written and not shown.gone:

@@ -16,6 +16,7 @@ from ..blender.animation.conflicts import overruled, unseen
 from ..blender.animation.live import LiveHeadObject
 from ..blender.animation.live_mesh import clear_all_live
 from ..blender.controls.checks import slowness
+from ..blender.messages import show_error
 from ..blender.registering import watch
 from ..core.errors import HeadError, Message
 
@@ -113,6 +114,18 @@ class Session:
         if (count := len(bpy.data.objects)) != self._objects_seen:
             self._objects_seen = count
             clear_all_live(blocks=False, but=self.blocks)
+
+    def warn_of_applied(self) -> None:
+        """Say that the pose of a head was made part of its rest shape, as undoing that is up to the user."""
+        applied = dict.fromkeys(name for shown in self.heads for name in shown.applied)
+        if applied:
+            show_error(
+                Message(
+                    "The pose of {names} was applied to the rest shape. Undo that, and stop the puppet or the preview "
+                    "before you apply it again.",
+                    names=", ".join(applied),
+                )
+            )
 
     @property
     def blocks(self) -> set[bpy.types.ID]:

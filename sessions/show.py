@@ -24,7 +24,7 @@ from ..blender.styles import read_style, style_state
 from ..blender.timeline import frames_of, seconds_of
 from ..blender.viewports import redraw
 from ..core.drive.driver import HeadDriver, HeadFrame
-from ..core.errors import FacemimeError, HeadError
+from ..core.errors import FacemimeError, HeadError, Message
 from ..core.heads.rig import HeadRig
 from ..core.puppet.outputs import KeyDriver, LiveKeys
 from ..core.puppet.performer import Performance
@@ -103,6 +103,7 @@ class TakeShow(Session):
         ]
         self.drivers = [self._driver(read_rig(obj), own, None) for obj, own in zip(objects, keys, strict=True)]
         self.scene = scene.session_uid
+        self._shown_at, self._stood_still = 0.0, False
         super().__init__()
         self.heads = heads
         self._display = FaceDisplay(objects, bones=settings.hide_bones and bpy.context.mode != "POSE")
@@ -160,11 +161,37 @@ class TakeShow(Session):
         if scene.session_uid != self.scene:
             return
         result = self.result(scene)
+        self._shown_at = scene.frame_current_final
         require_one_left(self.heads)
         for number, shown in enumerate(self.heads):
             if not shown.gone:
                 self.frames[number] = frame = self.drivers[number].frame(result)
                 shown.write(frame)
+
+    def catches_up(self, scene: bpy.types.Scene) -> bool:
+        """Display the current frame if Edit Mode, which was left, has prevented that; return whether it has."""
+        if not any(shown.is_stale for shown in self.heads):
+            return False
+        self.show(scene)
+        return True
+
+    def show_in_render(self, scene: bpy.types.Scene) -> None:
+        """Display a frame of an animation that is being rendered, in the thread of the renderer.
+
+        What is displayed must not be drawn meanwhile, or Blender crashes, so the interface has to be locked.
+        """
+        if scene.render.use_lock_interface:
+            self.show(scene)
+        elif scene.session_uid == self.scene and scene.frame_current_final != self._shown_at:
+            self._stood_still = True
+
+    def warn_of_still_render(self) -> None:
+        """Say that the frames of an animation were rendered without being displayed."""
+        if self._stood_still:
+            self._stood_still = False
+            show_error(
+                Message("The preview stands still in the render. Bake the take, or turn on Render > Lock Interface.")
+            )
 
     def result(self, scene: bpy.types.Scene) -> TrackResult:
         """Return the result in the frame of the take nearest to the current frame."""
@@ -194,23 +221,35 @@ def head_driver(driver: HeadDriver | KeyDriver) -> HeadDriver:
 
 def _show(scene: bpy.types.Scene, *_: object) -> None:
     session = TakeShow.running()
-    if session is None or bpy.app.is_job_running("RENDER"):
+    if session is None:
         return
+    rendering = bpy.app.is_job_running("RENDER")
     try:
-        session.show(scene)
+        if rendering:
+            session.show_in_render(scene)
+        else:
+            session.show(scene)
     except HeadError:  # the heads were changed or deleted
-        session.close()
+        if rendering:
+            session.close_later()
+        else:
+            session.close()
 
 
 def follow_settings() -> float | None:
-    """Let a shown take follow the settings, as no frame changes when a slider is moved."""
+    """Let a shown take follow the settings and modes, as no frame changes when a slider is moved."""
     session = TakeShow.running()
     if session is None:
         return None
     scene = find_scene(session.scene)
+    if scene is None:
+        session.close()
+        return None
     try:
         session.rest_copies()
-        if scene is not None and session.follow(scene):
+        session.warn_of_applied()
+        session.warn_of_still_render()
+        if session.follow(scene) or session.catches_up(scene):
             redraw(bpy.context)
     except FacemimeError as error:
         session.close()

@@ -19,15 +19,16 @@ from ..controls.stored import has_controls, used_controls
 from ..fcurves import make_actions_own
 from ..meshes import exists, keys_of, mesh_of
 from ..names import CONTROLS_PROPERTY, PART_PROPERTY
-from ..own_pose import move_own
+from ..own_pose import live_as, move_own, note_name
 from ..switching import bake_of
+from .applied import AppliedPose
 from .aside import moving, restore, set_aside, values_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .bake_keys import family_keys, following_paths
 from .live_controls import LiveControls
 from .live_keys import LiveValues
 from .live_mesh import LiveMesh, changed
-from .targets import PoseTarget, carried_targets
+from .targets import PoseTarget, carried_targets, own_targets, require_bone
 
 FlatMeshes = Sequence[NDArray[np.floating[Any]]]
 """Arrays for `foreach_set`, one for each mesh of a head; or what shows the frame by its controls."""
@@ -64,7 +65,7 @@ class LiveHeadObject:
     Raises
     ------
     HeadError
-        If the object is not a mesh, is linked, or has absolute shape keys, or a control is missing.
+        If the object is not a mesh, is linked, or has absolute shape keys, or a control or its bone is missing.
     """
 
     obj: bpy.types.Object
@@ -77,10 +78,12 @@ class LiveHeadObject:
         self._controls = None if self.controls is None else LiveControls(self.obj, self.controls)
         self._meshes = [LiveMesh(member) for member in members_of(self.obj)]
         self._name = self.obj.name
+        require_bone(self.obj, self.targets)
         self._parts = [(child, _kind(child)) for child in self.obj.children if _kind(child)]
         self._carried = carried_targets(self.obj, self.targets["head"]) if "head" in self.targets else []
         self._moving: list[PoseTarget] = []
-        self._shown = False
+        self._applied: list[AppliedPose] = []
+        self._shown = self._skipped = False
         objects = [self.obj, *(one for target in self.targets.values() for one in (target.obj, target.head))]
         self._uids = {id(obj): obj.session_uid for obj in objects if obj is not None}
 
@@ -170,7 +173,22 @@ class LiveHeadObject:
             )
             set_aside(owner, [*moving(owner, channels), *bake_of(owner)])
         self._moving = [target for target in self._carried if not target.bone and values_aside(target.obj, _DELTAS, 0)]
+        self._applied = [AppliedPose(target) for target in self._living_targets()]
         self._shown = True
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether a mesh was in Edit Mode when the last frame was to be displayed, and no longer is."""
+        return self._skipped and not self._is_edited
+
+    @property
+    def _is_edited(self) -> bool:
+        return any(shown.obj.mode == "EDIT" for shown in self._living_meshes())
+
+    @property
+    def applied(self) -> list[str]:
+        """Names of the objects and bones whose pose became part of their rest shape after the last frame."""
+        return [watch.name for watch in self._applied if watch.happened()]
 
     def taught_controls(self) -> dict[str, float]:
         """Return what the user has changed of the controls that show a frame, as `LiveControls.taught`."""
@@ -206,14 +224,17 @@ class LiveHeadObject:
         `flat` is `prepare(frame)`, if it is already computed. Raises HeadError if the mesh was changed so that it can
         no longer be driven, or an object or bone that follows the pose was deleted.
         """
+        self._skipped = self._is_edited
         if self.obj.mode == "EDIT":
             return
         if len(frame.vertices) != self.vertices:
             raise changed(self._name)
         for shown in self._living_meshes():
             shown.require_same()
+        self._follow_renamed()
         for name, target in self.targets.items():
             if not target.exists:
+                require_bone(self.obj, own_targets(self.obj) if name == "head" else {})
                 raise HeadError(
                     "The object or bone chosen as {label} was deleted. Choose another one in Puppet > "
                     "Head and Eyes, or clear that field, and start again.",
@@ -238,6 +259,23 @@ class LiveHeadObject:
         # computed before the way of driving was changed.
         if len(frame.keys) == len(self.keys):
             self._write_face(frame, flat)
+        for watch in self._applied:
+            watch.note()
+
+    def _follow_renamed(self) -> None:
+        """Find the bones again that were renamed, which the session's mark on them tells."""
+        if all(target.exists for target in self.targets.values()):
+            return
+        own = {} if self.gone else own_targets(self.obj)
+        for name, target in self.targets.items():
+            if not target.exists and exists(target.obj) and target.obj.pose is not None:
+                places = (own.get(name), *(replace(target, bone=bone.name) for bone in target.obj.pose.bones))
+                marked = (one for one in places if one is not None and one.bone and live_as(one.owner) == target.bone)
+                self.targets = {**self.targets, name: next(marked, target)}
+                if self.targets[name].exists:
+                    note_name(self.targets[name].owner)
+        if "head" in self.targets and self.targets["head"].exists:
+            self._carried = carried_targets(self.obj, self.targets["head"])
 
     def _write_face(self, frame: HeadFrame, flat: FlatMeshes | None) -> None:
         """Display the face; what was prepared before the way of driving was changed is prepared again."""
@@ -264,7 +302,7 @@ class LiveHeadObject:
         """
         if not self._shown:
             return False
-        self._shown = False
+        self._shown, self._applied = False, []
         if self._controls is not None:
             self._controls.detach(keep=keep)
         for owner in self._owners():

@@ -72,7 +72,7 @@ from .refit import LastBake
 from .refit_pose import ANGLE, LastPose
 from .scene_range import fit_range, holding_take, outside_range, start_frame
 from .strengths import scaled, scaled_pose
-from .targets import own_targets
+from .targets import own_targets, require_bone
 
 TOLERANCE = 0.009
 """Error allowed for a basis of new shape keys, in eye distances."""
@@ -233,6 +233,7 @@ def _checked_rig(obj: bpy.types.Object, targets: Targets, bake: BakeSettings) ->
             "{name} is bound by its shape keys alone. Bake to existing shape keys by a mapping, or find its face.",
             name=obj.name,
         )
+    require_bone(obj, targets)
     check_bakeable(obj, targets, new_keys=bake.keys == "new", old_keys=bake.uses_existing_keys)
     return read_rig(obj)
 

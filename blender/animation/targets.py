@@ -6,7 +6,7 @@ the channels of a bone, is kept: the performance is added to it (`blender.own_po
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import pi
 from typing import Any, NamedTuple
@@ -32,6 +32,7 @@ from ..characters import (
     read_bones,
     rest_matrix,
     rest_rotation,
+    stored_bones,
 )
 from ..eye_bones import Aim, aim_of
 from ..frames import rotation_to_blender, to_blender
@@ -120,7 +121,9 @@ class PoseTarget:
         """Whether the object and its bone still exist, and the head."""
         if not exists(self.obj) or (self.head is not None and not exists(self.head)):
             return False
-        return not self.bone or (self.obj.pose is not None and self.bone in self.obj.pose.bones)
+        if not self.bone:
+            return True
+        return self.obj.pose is not None and all(name in self.obj.pose.bones for name in (self.bone, *self.looking))
 
     @property
     def owner(self) -> bpy.types.Object | bpy.types.PoseBone:
@@ -352,6 +355,20 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
             own = replace(own, pivot=(middle.x, middle.y, middle.z))
         targets["eye_left"] = replace(own, looking=(*own.looking, *other.looking))
     return targets
+
+
+def require_bone(head: bpy.types.Object, targets: Mapping[str, PoseTarget]) -> None:
+    """Raise HeadError if the pose would turn the head itself only because the bone that turned it is missing."""
+    armature, bones = read_bones(head)
+    lost = stored_bones(head).get("head", "")
+    turned = targets.get("head")
+    if armature is not None and lost and not bones.head and turned is not None and turned.obj == head:
+        raise HeadError(
+            "The bone {bone} of {armature}, which turns the head, is missing. Choose another one, or None, in "
+            "Head > Character.",
+            bone=lost,
+            armature=armature.name,
+        )
 
 
 def _moving(eye: PoseTarget, aim: Aim) -> PoseTarget:
