@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from ..errors import Message, OutputError, SourceError
 from ..numeric.opencv import silence_opencv
+from .changing_format import Stream, stamp_of
 from .closing import Closing
 from .frame_rate import FASTEST, nominal_rate
 from .frames import Frame
@@ -40,8 +41,6 @@ _LOOKED_AT = 60
 """Number of frames whose times give the rate if the file states one at which no camera records."""
 
 
-_LATEST = 1e9
-"""Seconds at which no frame is shown: 32 years; clocks in files start at most at some days."""
 _BACK = 1.0
 """Seconds by which times go back where a file was joined from several, so that its clock starts again: images that are
 out of order are less than that apart."""
@@ -109,6 +108,8 @@ class VideoSource(Closing):
         self.turn = round(self._capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360
         self.mirrored = is_mirrored(self.path)
         self.pixel_aspect = self._pixel_aspect()
+        self._stated = (width, height) if self.turn % 180 == 0 else (height, width)
+        self._stream = Stream(self.path, self._capture)
         fps = float(self._capture.get(cv2.CAP_PROP_FPS))
         self.fps = nominal_rate(fps, self._first_times)
         count = float(self._capture.get(cv2.CAP_PROP_FRAME_COUNT))
@@ -124,19 +125,18 @@ class VideoSource(Closing):
 
     def image(self) -> NDArray[np.uint8] | None:
         """Return the image of the frame at which `times` is, (H, W, 3) BGR, or None if it cannot be decoded."""
-        read, image = self._capture.retrieve()
-        if not read or image is None:
+        if (image := self._stream.image(self.turn)) is None:
             return None
-        if self.mirrored:  # OpenCV has rotated it
-            image = cv2.flip(image, 0 if self.turn % 180 == 0 else 1)
-        return self._squared(np.asarray(image, dtype=np.uint8))
+        if self.mirrored:  # it is rotated
+            image = np.asarray(cv2.flip(image, 0 if self.turn % 180 == 0 else 1), dtype=np.uint8)
+        return self._stream.fitted(self._squared(image), self._square(*self._stated))
 
     def times(self) -> Iterator[float]:
         """Advance from frame to frame, and yield the time of each in seconds from the first one."""
         start, last, previous = 0.0, None, None
-        while self._capture.grab():
+        for stamp in self._stream.stamps():
             time = 0.0 if previous is None else previous + 1.0 / self.fps
-            if (stamp := _stamp(self._capture)) is not None:
+            if stamp is not None:
                 if last is None or stamp < last - _BACK:
                     start = stamp - time
                 elif stamp > last:  # otherwise only this frame has no time of its own
@@ -159,30 +159,25 @@ class VideoSource(Closing):
 
     def _squared(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
         """Return an upright image with square pixels; the side that is too short grows."""
-        wider = self.pixel_aspect if self.turn % 180 == 0 else 1.0 / self.pixel_aspect
-        if wider == 1.0:
+        size = self._square(*image.shape[1::-1])
+        if size == image.shape[1::-1]:
             return image
-        height, width = image.shape[:2]
-        size = (round(width * max(wider, 1.0)), round(height * max(1.0 / wider, 1.0)))
         return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_LINEAR), dtype=np.uint8)
+
+    def _square(self, width: int, height: int) -> tuple[int, int]:
+        """Return the width and the height of an upright image in square pixels."""
+        wider = self.pixel_aspect if self.turn % 180 == 0 else 1.0 / self.pixel_aspect
+        return round(width * max(wider, 1.0)), round(height * max(1.0 / wider, 1.0))
 
     def _first_times(self) -> list[float]:
         frames = cv2.VideoCapture(os.path.abspath(self.path), cv2.CAP_FFMPEG)
-        stamps = [_stamp(frames) for _ in range(_LOOKED_AT) if frames.grab()]
+        stamps = [stamp_of(frames) for _ in range(_LOOKED_AT) if frames.grab()]
         frames.release()
         return [stamp for stamp in stamps if stamp is not None]
 
     def close(self) -> None:
         """Release the file; may be called twice."""
-        self._capture.release()
-
-
-def _stamp(capture: cv2.VideoCapture) -> float | None:
-    """Return when the frame is shown in seconds of the file; None if the file does not say, as streams without a
-    container do not, for which OpenCV returns an impossible number.
-    """
-    stamp = float(capture.get(cv2.CAP_PROP_POS_MSEC)) / 1000.0
-    return stamp if abs(stamp) < _LATEST else None
+        self._stream.close()
 
 
 PICTURE_RATE = 25.0

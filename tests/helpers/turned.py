@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 
 
-def turned_clip(path: Path, turn: int, count: int = 3, *, mirrored: bool = False) -> Path:
+def turned_clip(path: Path, turn: int, count: int = 3, *, mirrored: bool = False, codec: str = "mp4v") -> Path:
     """A clip that is bright at the top, grey at the left, to be displayed mirrored from top to bottom if `mirrored` is
     set, and rotated clockwise by `turn` degrees.
     """
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 20.0, (64, 48))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 20.0, (64, 48))
     for _ in range(count):
         image = np.zeros((48, 64, 3), np.uint8)
         image[:, :16] = 96

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from facemime.core.errors import OutputError, SourceError
-from facemime.core.files import capture
+from facemime.core.files import capture, changing_format
 from facemime.core.files.capture import (
     PictureSource,
     VideoSource,
@@ -69,7 +69,7 @@ def test_videos_that_are_stored_mirrored_are_shown_as_players_show_them(tmp_path
 def test_frames_without_a_time_follow_each_other_at_the_stated_rate(tmp_path, monkeypatch, stamps):
     path, shown = write_clip(tmp_path / "clip.mp4", 5, 25.0), iter(stamps)
     with VideoSource(path) as source:
-        monkeypatch.setattr(capture, "_stamp", lambda _: next(shown))
+        monkeypatch.setattr(changing_format, "stamp_of", lambda _: next(shown, None))
         np.testing.assert_allclose(list(source.times()), np.arange(5) / 25.0, atol=1e-9)
 
 
