@@ -97,6 +97,11 @@ def describe_face(grey: Grey, pose: FloatArray) -> NDArray[np.float32]:
     return _normalise(cells.reshape(-1) - cells.mean())
 
 
+def are_same(one: NDArray[np.float32], other: NDArray[np.float32]) -> bool:
+    """Return whether two descriptors (400,) are certainly of the same face in the same light."""
+    return float(one @ other) >= _SAME
+
+
 def _oval() -> NDArray[np.float32]:
     y, x = np.mgrid[0:_SIDE, 0:_SIDE]
     inside = ((x - _CENTRE[0]) / _RADII[0]) ** 2 + ((y - _CENTRE[1]) / _RADII[1]) ** 2 <= 1.0
@@ -236,6 +241,7 @@ class FaceChoice:
     def __init__(self) -> None:
         self.misses = 0
         self.anybody = False
+        self._asked: FloatArray | None = None
         self._requested: FloatArray | None = None
         self._lost: FittedShape | None = None
 
@@ -246,11 +252,15 @@ class FaceChoice:
 
     def request(self, x: float, y: float) -> None:
         """Choose the face nearest to a point, in pixels, as soon as one is found."""
-        self._requested = np.array([x, y], np.float64)
+        self._asked = self._requested = np.array([x, y], np.float64)
 
     def wait_for(self, last: FittedShape) -> None:
         """Wait for the face that was last seen at the fit `last`."""
         self._lost = last
+
+    def end_wait(self) -> None:
+        """Take the requested face, or else any, as the scene of the lost one has ended."""
+        self._requested, self._lost = self._asked, None
 
     def settle(self) -> None:
         """Note that a face was found, so that none is awaited any more."""

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from ..files.assets import ASSETS
 from ..files.setting import Choice, setting
 from ..numeric.arrays import FloatArray, as_image
+from .cuts import LostScene
 from .fitter import FaceFitter
 from .grey import Grey, GreyImage
-from .identity import FaceChoice, PerformerIdentity, describe_face
+from .identity import FaceChoice, PerformerIdentity, are_same, describe_face
 from .linear_fitter import load_any_model
 from .model_file import TrackerModel
 from .patch_experts import ActionExperts
@@ -115,6 +116,8 @@ class FaceTracker:
         self._actions: FloatArray | None = None
         self._mouth = HiddenMouth()
         self._colour: NDArray[np.uint8] | None = None
+        self._pixels = np.empty((0, 0), np.uint8)
+        self._scene = LostScene()
 
     @classmethod
     def load(
@@ -189,6 +192,7 @@ class FaceTracker:
         self._choice = FaceChoice()
         self._identity.reset()
         self._mouth.reset()
+        self._scene = LostScene()
 
     def choose(self, x: float, y: float) -> None:
         """Track the face nearest to a point, starting with the next `track`.
@@ -237,6 +241,9 @@ class FaceTracker:
         steps = self.search.steps(self._choice.misses)
         brief = self._choice.misses > 0
         found = self.search.detect(grey, steps, small=self._choice.waiting, brief=brief)
+        another_scene = self._choice.waiting and self._scene.is_another(self._pixels)
+        if another_scene and found and not self._was_there(grey, found):
+            self._choice.end_wait()
         chosen = self._choice.pick(grey, found, self._identity)
         if chosen is None:
             self._last = self._actions = None
@@ -274,7 +281,7 @@ class FaceTracker:
     def begin(self, image: ArrayLike) -> Grey:
         """Begin with an image, and return it in grey."""
         self.search.begin()
-        pixels = as_image(image)
+        self._pixels = pixels = as_image(image)
         self._colour = None if pixels.ndim == 2 else pixels
         return pixels if pixels.ndim == 2 else GreyImage(pixels)
 
@@ -297,6 +304,13 @@ class FaceTracker:
         identity.adapt(descriptor)
         return True
 
+    def _was_there(self, grey: Grey, found: Sequence[Candidate]) -> bool:
+        """Whether one of the faces in view was in the same place when the tracked one was lost."""
+        if (last := self._scene.last) is None:
+            return False
+        before = last if last.ndim == 2 else GreyImage(last)
+        return any(are_same(describe_face(before, c.pose), describe_face(grey, c.pose)) for c in found)
+
     def _performing(self, grey: Grey, rivals: Rivals, followed: Candidate) -> Candidate | None:
         """Return the largest other face that moves if the tracked one is a picture; otherwise None."""
         rivals.watch(grey)
@@ -314,7 +328,7 @@ class FaceTracker:
         """Track the face of somebody else."""
         self._identity.reset()
         self._mouth.reset()
-        self._rivals = None
+        self._rivals, self._choice = None, FaceChoice()
         return self._accept(grey, another)
 
     def _next_face(self, grey: Grey) -> Candidate | None:
@@ -328,6 +342,7 @@ class FaceTracker:
 
     def _accept(self, grey: Grey, candidate: Candidate) -> TrackResult:
         self._choice.settle()
+        self._scene.keep(self._pixels)
         # A gradual tracker measures all actions in the first frame, and then those of one part per frame.
         parts, before = self._model.actions, self._actions
         if self.search.gradual and before is not None:
