@@ -244,6 +244,7 @@ class FaceChoice:
         self._asked: FloatArray | None = None
         self._requested: FloatArray | None = None
         self._lost: FittedShape | None = None
+        self._was_certain = False
 
     @property
     def waiting(self) -> bool:
@@ -254,16 +255,22 @@ class FaceChoice:
         """Choose the face nearest to a point, in pixels, as soon as one is found."""
         self._asked = self._requested = np.array([x, y], np.float64)
 
-    def wait_for(self, last: FittedShape) -> None:
-        """Wait for the face that was last seen at the fit `last`."""
-        self._lost = last
+    def lose(self, last: FittedShape) -> None:
+        """Wait for the face that was last seen at the fit `last`, unless it never was a face for certain.
+
+        A print on a shirt may be the largest face in view, and is soon lost.
+        """
+        if self._was_certain or self._asked is not None:
+            self._lost = last
 
     def end_wait(self) -> None:
         """Take the requested face, or else any, as the scene of the lost one has ended."""
         self._requested, self._lost = self._asked, None
 
-    def settle(self) -> None:
-        """Note that a face was found, so that none is awaited any more."""
+    def settle(self, *, certain: bool) -> None:
+        """Note that a face was found, so that none is awaited any more, and whether it is one for certain."""
+        self._was_certain = certain or (self._was_certain and not self.anybody)
+        self.anybody = False
         self._requested = self._lost = None
         self.misses = 0
 

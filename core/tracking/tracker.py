@@ -236,7 +236,7 @@ class FaceTracker:
                 if self._rivals is not None and (another := self._performing(grey, self._rivals, followed)) is not None:
                     return self._switch(grey, another)
                 return self._accept(grey, followed)
-            self._choice.wait_for(self._last)
+            self._choice.lose(self._last)
         # 3. Detect all faces in view (3.2), and choose the performer's (3.7).
         steps = self.search.steps(self._choice.misses)
         brief = self._choice.misses > 0
@@ -341,7 +341,7 @@ class FaceTracker:
         return min([c for c in found if c.pose[4] > here[4]] or found, key=lambda c: float(c.pose[4]), default=None)
 
     def _accept(self, grey: Grey, candidate: Candidate) -> TrackResult:
-        self._choice.settle()
+        self._choice.settle(certain=candidate.confidence >= CERTAIN)
         self._scene.keep(self._pixels)
         # A gradual tracker measures all actions in the first frame, and then those of one part per frame.
         parts, before = self._model.actions, self._actions

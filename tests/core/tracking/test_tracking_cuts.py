@@ -8,7 +8,8 @@ import pytest
 
 from facemime.core.files.assets import SAMPLE
 from facemime.core.tracking.cuts import LostScene
-from facemime.core.tracking.identity import LEFTMOST
+from facemime.core.tracking.identity import LEFTMOST, FaceChoice, PerformerIdentity
+from facemime.core.tracking.pdm import FittedShape
 from facemime.core.tracking.tracker import FaceTracker
 
 ROOM = np.random.default_rng(3)
@@ -80,3 +81,25 @@ def test_a_face_that_is_kept_again_starts_from_its_own_scene():
     assert scene.is_another(other)
     scene.keep(other)
     assert not scene.is_another(other) and scene.is_another(first)
+
+
+def test_a_face_that_never_was_one_for_certain_is_not_awaited():
+    fit = FittedShape(np.array([80.0, 0.0, 0.0, 0.0, 300.0, 200.0]), np.zeros(3))
+    grey, choice = np.zeros((40, 60), np.uint8), FaceChoice()
+
+    def awaited(*certain):
+        """Whether a face is awaited that was tracked, with or without certainty in each frame, and lost."""
+        choice.lose(fit)
+        choice.misses = 1000
+        assert choice.pick(grey, [], PerformerIdentity()) is None and choice.anybody
+        for one in certain:
+            choice.settle(certain=one)
+        choice.end_wait()
+        choice.lose(fit)
+        return choice.waiting
+
+    assert not awaited(False, False)
+    assert awaited(False, True, False)
+    assert not awaited(False)
+    choice.request(10.0, 20.0)
+    assert awaited(False)
