@@ -120,6 +120,8 @@ class VideoSource(Closing):
     def __iter__(self) -> Iterator[Frame]:
         for index, time in enumerate(self.times()):
             if (image := self.image()) is None:
+                if index == 0:
+                    raise self._undecodable()
                 break
             yield Frame(image, time, index)
 
@@ -145,11 +147,14 @@ class VideoSource(Closing):
             previous = time if previous is None else max(time, previous + _LEAST)
             yield previous
         if previous is None:
-            raise SourceError(
-                "No frame of {path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
-                "Convert it to MP4 (H.264) and try again.",
-                path=self.path,
-            )
+            raise self._undecodable()
+
+    def _undecodable(self) -> SourceError:
+        return SourceError(
+            "No frame of {path} can be decoded: it is empty, broken, or in an unsupported codec such as AV1. "
+            "Convert it to MP4 (H.264) and try again.",
+            path=self.path,
+        )
 
     def _pixel_aspect(self) -> float:
         sides = [float(self._capture.get(side)) for side in (cv2.CAP_PROP_SAR_NUM, cv2.CAP_PROP_SAR_DEN)]

@@ -287,7 +287,10 @@ class Stream(Closing):
         """Return the image at which `stamps` is, (H, W, 3) BGR, rotated clockwise by the degrees that the file states;
         None if it cannot be decoded.
         """
-        read, image = (self._capture if self._part is None else self._part.capture).retrieve()
+        try:
+            read, image = (self._capture if self._part is None else self._part.capture).retrieve()
+        except cv2.error:  # its headers are damaged
+            return None
         if not read or image is None:
             return None
         if self._part is not None and turn in _TURNS:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import struct
 import tempfile
 
@@ -9,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from facemime.core.errors import SourceError
 from facemime.core.files import changing_format
 from facemime.core.files.capture import VideoSource
 from facemime.core.files.changing_format import fitted
@@ -136,6 +138,36 @@ def test_images_after_a_change_are_upright_in_any_orientation(tmp_path, monkeypa
     assert len(others) == 2
     for image in others:
         np.testing.assert_array_equal(image, first)
+
+
+def test_a_damaged_change_of_the_size_raises_nothing_else_than_errors_of_videos(tmp_path):
+    whole, random = joined_webm(tmp_path, "VP80", [SMALL, WIDE]).read_bytes(), np.random.default_rng(0)
+    for number in range(40):
+        data = bytearray(whole)
+        for place in random.integers(32, len(data), 1 + number % 8):
+            data[place] = random.integers(256)
+        (tmp_path / "damaged.ivf").write_bytes(data)
+        with contextlib.suppress(SourceError), VideoSource(tmp_path / "damaged.ivf") as source:
+            assert all(frame.image.shape == (72, 96, 3) for frame in source)
+
+
+def test_an_image_that_opencv_refuses_ends_the_video(tmp_path):
+    class Refusing:
+        def retrieve(self):
+            raise cv2.error("damaged")
+
+    with VideoSource(jpeg_stream(tmp_path / "clip.mjpeg", [WIDE] * 3)) as source:
+        next(source.times())
+        source._stream._capture = Refusing()
+        assert source.image() is None
+        source._stream._capture = source._capture
+
+
+def test_a_video_whose_first_image_cannot_be_decoded_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(changing_format.Stream, "image", lambda stream, turn: None)
+    path = jpeg_stream(tmp_path / "clip.mjpeg", [WIDE] * 3)
+    with VideoSource(path) as source, pytest.raises(SourceError, match=r"No frame of .* can be decoded"):
+        list(source)
 
 
 def test_nothing_is_left_in_the_folder_for_temporary_files(tmp_path, monkeypatch):
