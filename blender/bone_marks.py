@@ -33,9 +33,11 @@ def mark_bone(armature: bpy.types.Object, name: str, mark: str) -> None:
 def marked_bone(armature: bpy.types.Object, name: str, mark: str) -> str:
     """Return the name that a marked bone has now, of several that of the one with `name`; "" if there is none.
 
-    A bone with `name` counts if no other bone is marked, as in files of earlier versions.
+    A bone with `name` counts if no other bone is marked. `mark` is "" in files of earlier versions.
     """
     bones = posed_bones(armature)
-    if name in bones and mark in marks_of(bones[name]):
+    if name in bones and (not mark or mark in marks_of(bones[name])):
         return name
+    if not mark:
+        return ""
     return next((bone.name for bone in bones if mark in marks_of(bone)), name if name in bones else "")

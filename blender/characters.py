@@ -286,8 +286,8 @@ def read_bones(head: bpy.types.Object) -> tuple[bpy.types.Object | None, FaceBon
     if not isinstance(armature, bpy.types.Object) or armature.type != "ARMATURE" or not stored:
         return None, FaceBones()
     named = {key: name for key, name in stored.items() if key in FaceBones.__dataclass_fields__ and name}
-    end = stored.get(_MARK, "")
-    return armature, FaceBones(**{key: marked_bone(armature, name, f"{key} {end}") for key, name in named.items()})
+    marks = {key: f"{key} {stored[_MARK]}" if _MARK in stored else "" for key in named}
+    return armature, FaceBones(**{key: marked_bone(armature, name, marks[key]) for key, name in named.items()})
 
 
 def stored_bones(head: bpy.types.Object) -> dict[str, str]:

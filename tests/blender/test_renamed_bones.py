@@ -85,8 +85,10 @@ def test_a_bone_that_no_longer_is_chosen_loses_its_mark(character):
 
 def test_bones_of_earlier_files_are_found_by_their_names(character):
     head, armature = character
-    del armature.pose.bones["Head"]["facemime_bone"]
+    del armature.pose.bones["Head"]["facemime_bone"], head["facemime_bones"]["mark"]
     assert read_bones(head)[1].head == "Head"
+    armature.data.bones["Head"].name = "Skull"
+    assert not read_bones(head)[1].head
 
 
 @pytest.mark.usefixtures("looping")
