@@ -276,6 +276,7 @@ class LiveHeadObject:
                     note_name(self.targets[name].owner)
         if "head" in self.targets and self.targets["head"].exists:
             self._carried = carried_targets(self.obj, self.targets["head"])
+        self._applied = [AppliedPose(target) for target in self._living_targets()]
 
     def _write_face(self, frame: HeadFrame, flat: FlatMeshes | None) -> None:
         """Display the face; what was prepared before the way of driving was changed is prepared again."""

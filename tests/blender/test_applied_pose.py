@@ -55,18 +55,21 @@ def test_applying_the_rotation_of_a_puppet_is_said_once(looping, said, change, w
     bpy.ops.facemime.stop_puppet()
 
 
-def test_applying_the_pose_of_a_bone_as_its_rest_pose_is_said(looping, said):
+@pytest.mark.parametrize("name", ["Head", "Skull"])
+def test_applying_the_pose_of_a_bone_as_its_rest_pose_is_said(looping, said, name):
     head, _ = bind_character(make_character(rig=True)["head"])
     bpy.context.view_layer.objects.active = head
     armature = read_bones(head)[0]
     start()
-    ticks_until(lambda: turned(armature.pose.bones["Head"]))
+    armature.data.bones["Head"].name = name
+    some_frames()
+    ticks_until(lambda: turned(armature.pose.bones[name]))
     bpy.context.view_layer.objects.active = armature
     bpy.ops.object.mode_set(mode="POSE")
     bpy.ops.pose.armature_apply()
     bpy.ops.object.mode_set(mode="OBJECT")
     some_frames()
-    assert len(said) == 1 and said[0].startswith("The pose of Head was applied to the rest shape. Undo that")
+    assert len(said) == 1 and said[0].startswith(f"The pose of {name} was applied to the rest shape. Undo that")
     bpy.ops.facemime.stop_puppet()
 
 
