@@ -295,7 +295,8 @@ def puppet_job(options: Options, **more: Any) -> PuppetJob:
         given["keys"] = "mapped"
     elif given["map"] is not None and given["keys"] != "mapped":
         raise FacemimeError("--map is used with --keys mapped only. Add --keys mapped, or remove --map.")
-    given["positive"] |= given.get("gltf") is not None  # many programs that read it cut off values below 0
+    if given["positive"] is None:  # many programs that read glTF cut off values below 0
+        given["positive"] = given.get("gltf") is not None
     return filled(PuppetJob, given, **more)
 
 

@@ -81,13 +81,16 @@ def add_commands(commands: Commands) -> None:
         "--sheet", type=Path, metavar="OUT.png", help="also write a contact sheet of the most distinct expressions"
     )
     puppet.add_argument(
-        "--gltf", type=Path, metavar="OUT.glb", help="also write the head and its animation for browsers and engines"
+        "--gltf",
+        type=Path,
+        metavar="OUT.glb",
+        help="also write the head and its animation for browsers and engines; --positive is then the default",
     )
     puppet.add_argument("--take", type=Path, metavar="TAKE.facetake", help="also write the take")
     add_neutral_option(puppet)
     add_preset_option(puppet)
     add_puppet_options(puppet)
-    puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)))
+    puppet.set_defaults(run=lambda given: run_puppet(puppet_job(given)), positive=None)
 
 
 def _run_track(given: Options) -> int:

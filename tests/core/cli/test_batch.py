@@ -15,7 +15,7 @@ from types import SimpleNamespace
 import pytest
 
 from facemime.cli import batch as cli_batch
-from facemime.cli import clips, runners
+from facemime.cli import clips, puppet, runners
 from facemime.cli import main as cli
 from facemime.cli.clips import (
     CHECKSUMS,
@@ -109,6 +109,23 @@ def test_a_job_survives_conversion_to_options_and_back(tmp_path, settings):
     assert replace(read, settings=settings) == job
     for ours, theirs in zip(_numbers(read.settings), _numbers(settings), strict=True):
         assert ours == (pytest.approx(theirs, rel=1e-9) if type(theirs) is float else theirs)
+
+
+@pytest.mark.parametrize(
+    ("line", "positive"),
+    [
+        ([], False),
+        (["--gltf", "out.glb"], True),
+        (["--gltf", "out.glb", "--no-positive"], False),
+        (["--no-positive", "--gltf", "out.glb"], False),
+        (["--positive"], True),
+    ],
+)
+def test_an_explicit_choice_of_positive_values_wins_over_gltf(line, positive):
+    parser = Parser()
+    puppet.add_commands(parser.add_subparsers())
+    options = parse(parser, ["puppet", "a.facetake", "-o", "a.blend", *line])
+    assert puppet_job(options).settings.bake.positive is positive
 
 
 def _numbers(settings: PuppetSettings) -> list[object]:
