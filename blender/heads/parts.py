@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from ...core.errors import HeadError
 from ...core.face.landmarks import JAW, NOSE, outer_eye_distance
 from ...core.heads.hollow import hollow_rim
-from ...core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_brow
+from ...core.heads.part_names import FaceBones, find_bones, named_part, names_body, names_brow, names_neck
 from ...core.heads.proposal import propose_regions
 from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
@@ -127,8 +127,10 @@ def sort_character(head: bpy.types.Object, landmarks: IntArray, weights: NDArray
     sure = on_skin[number[skin.kept]] >= _MIN_ON_SKIN
     nearest = _SkinDistance(vertices[skin.kept[sure]], weights[:, sure], outer_eye_distance(points))
     copies = copies_of(head)
+    names = [group.name for group in head.vertex_groups]
+    of_face = {name for name in names if group_weights(head, name)[landmarks].mean() > _OWN_SHARE}
     groups = [
-        _pieces_of(obj, head, landmarks if obj == head else None, nearest)
+        _pieces_of(obj, head, landmarks if obj == head else None, nearest, of_face)
         for obj in dict.fromkeys([head, *family_of(head)])
         if obj == head or not (names_body(obj.name) or obj in copies)
     ]
@@ -194,9 +196,16 @@ class _SkinDistance:
 
 
 def _pieces_of(
-    obj: bpy.types.Object, head: bpy.types.Object, landmarks: IntArray | None, nearest: _SkinDistance
+    obj: bpy.types.Object,
+    head: bpy.types.Object,
+    landmarks: IntArray | None,
+    nearest: _SkinDistance,
+    of_face: set[str],
 ) -> _Pieces:
-    """Return the pieces of an object in the frame of `head`; those with landmarks are skin."""
+    """Return the pieces of an object in the frame of `head`; those with landmarks are skin.
+
+    `of_face` are the vertex groups that have the face as well, so that their names say nothing about pieces.
+    """
     faces = read_faces(mesh_of(obj))
     places = places_in(head, obj)
     number, on_skin = _numbered(obj, places, landmarks)
@@ -205,13 +214,24 @@ def _pieces_of(
     borders = np.searchsorted(number[order], np.arange(len(on_skin) + 1))
     # The name of the mesh with the face says nothing about its pieces: joined meshes keep the name of one of them.
     of_object = () if obj == head else (obj.name,)
+    necks = _necks(obj, number, of_face)
     pieces = []
     for i, material in enumerate(materials):
         own = places[order[borders[i] : borders[i + 1]]]
         away, moving, joined = nearest.of(own)
         skin = bool(on_skin[i] >= _MIN_ON_SKIN) and named_part([material]) is None
-        pieces.append(Piece(own, (material, *of_object), skin, away, moving, joined))
+        pieces.append(Piece(own, (material, *of_object, *necks[i]), skin, away, moving, joined))
     return _Pieces(obj, number, pieces)
+
+
+def _necks(obj: bpy.types.Object, number: NDArray[np.intp], of_face: set[str]) -> list[list[str]]:
+    """Return the names of the neck's vertex groups that have most of each piece, without those `of_face`."""
+    sizes = np.maximum(np.bincount(number), 1)
+    found: list[list[str]] = [[] for _ in sizes]
+    for name in [group.name for group in obj.vertex_groups if names_neck(group.name) and group.name not in of_face]:
+        for piece in np.flatnonzero(np.bincount(number, group_weights(obj, name)) / sizes > _OWN_SHARE):
+            found[piece].append(name)
+    return found
 
 
 def _numbered(

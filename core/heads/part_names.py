@@ -126,6 +126,12 @@ _BODY = _words(
     r"outfit_(?:top|bottom|footwear)",
     r"(?:top|bottom)s?",
 )
+_NECK = re.compile(
+    r" (?:neck|throat|hals|nacken|kehle|nek|cou|nuque|gorge|cuello|garganta|collo|gola|pescoço|pescoco|szyja|kark|krk|"
+    r"nyak|kaula|boyun|leher|\u0448\u0435\u044f|\u0448\u0438\u044f)"
+    r"(?:s|skin|mesh|geo|geometry|obj|object|mat|material|base)* |[首頸颈脖]"
+)
+"""Necks in the languages in which characters are made."""
 _WHOLE = _words(r"(?:body|bodies)")
 _NATIVE_WHOLE = re.compile(r"身体|体$")
 _NATIVE_BODY = re.compile(r"身体|体$|服|衣|靴|手袋|スカート|ズボン")
@@ -195,6 +201,19 @@ def names_body(name: str) -> bool:
 def names_whole_body(name: str) -> bool:
     """Return whether a name is that of a body, which may have a head, rather than of a limb or of clothes."""
     return names_body(name) and bool(_WHOLE.search(spaced(name)) or _NATIVE_WHOLE.search(name))
+
+
+def names_below_face(name: str) -> bool:
+    """Return whether a name is that of a neck, a limb or a garment, which may reach up behind the chin."""
+    text = spaced(name)
+    if parts_in(name) or _INSIDE.search(text):
+        return False
+    return bool(_NECK.search(text)) or (names_body(name) and not names_whole_body(name))
+
+
+def names_neck(name: str) -> bool:
+    """Return whether a name is that of a neck."""
+    return bool(_NECK.search(spaced(name))) and not parts_in(name)
 
 
 def level_of_detail(name: str) -> tuple[str, int] | None:

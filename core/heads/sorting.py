@@ -20,7 +20,7 @@ from ..face.landmarks import (
 )
 from ..mesh.surface import SurfaceGraph
 from ..numeric.arrays import FloatArray, IntArray
-from .part_names import named_part, names_hair, names_inside, names_upper
+from .part_names import named_part, names_below_face, names_hair, names_inside, names_upper
 from .rig import Part
 from .tongues import fills_arch
 
@@ -65,7 +65,8 @@ class Piece:
     vertices : (N, 3) float
         Positions, in the head frame.
     names : tuple of str
-        Names that describe it, the most specific first: those of its material and of its object.
+        Names that describe it, the most specific first: those of its material and of its object, and of the neck's
+        vertex group if it is in that.
     skin : bool
         Whether it is known to be skin because landmarks lie on it.
     away : float
@@ -89,7 +90,7 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
 
     Names decide first, as they were given by the maker of the character. Without one the place relative to the
     landmarks `points` (66, 3) decides, in the head frame: an eye lies behind the lids, teeth lie behind the lips, and a
-    piece close to moving skin rides on it. All else rides on the head.
+    piece close to moving skin rides on it. All else rides on the head, as do a neck, limbs and clothes by their names.
     """
     unit = outer_eye_distance(points)
     middle = np.asarray(points, dtype=np.float64)[MOUTH_CORNERS].mean(axis=0)
@@ -100,6 +101,8 @@ def sort_pieces(pieces: Sequence[Piece], points: FloatArray) -> list[Part | None
             named = None
         if piece.skin:
             parts.append(Part.SKIN)
+        elif named is None and any(map(names_below_face, piece.names)):
+            parts.append(Part.ON_HEAD)
         elif named in (Part.TEETH_UPPER, Part.TEETH_LOWER) or (named is None and _is_in_mouth(piece, points, unit)):
             parts.append(named if named == Part.TEETH_LOWER else Part.TEETH_UPPER)
         elif named == Part.EYE_LEFT or (named is None and _is_eye(piece, points)):
