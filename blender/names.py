@@ -36,6 +36,9 @@ PARTS_PROPERTY = "facemime_parts"
 PART_ATTRIBUTE = "facemime_part"
 """Attribute of the vertices of a mesh: the part of the face to which each belongs, a `core.heads.rig.Part`."""
 
+LOOKS_PROPERTY = "facemime_look_keys"
+"""Custom property of the mesh of an eye: the shape keys that Facemime added to turn it, one per line."""
+
 NECK_PROPERTY = "facemime_neck"
 """Custom property of an armature that was added to turn the head of a character without bones."""
 

@@ -20,6 +20,7 @@ from ..blender.heads.binding import bind_character, check_object, placements, tu
 from ..blender.heads.facegen import TRI, import_facegen, prepare_facegen
 from ..blender.heads.family import character_of, family_of, heads_of, hide_other_levels, likely_character
 from ..blender.heads.keyed import add_expressions, bind_keys, driven_by_its_keys, known_set
+from ..blender.heads.look_keys import eyes_with_look_keys, look_keys_note
 from ..blender.heads.neck import give_neck
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import paint_skin_around_eyes
@@ -352,6 +353,8 @@ def bound_by_keys(obj: bpy.types.Object) -> bpy.types.Object:
     before = placements()
     head = bind_keys(obj)
     _tell_of_changes(head, before)
+    if note := look_keys_note(eyes_with_look_keys(head)):
+        tell(f"{note}.")
     return head
 
 

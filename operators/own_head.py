@@ -21,6 +21,7 @@ from ..blender.heads.binding import (
 from ..blender.heads.facegen import prepare_mouth
 from ..blender.heads.family import character_of, hide_other_levels
 from ..blender.heads.keyed import bind_keys
+from ..blender.heads.look_keys import eyes_with_look_keys, look_keys_note
 from ..blender.heads.neck import give_neck
 from ..blender.heads.openings import open_eyes, open_lips
 from ..blender.heads.painted_eyes import has_painted_skin, replace_eyes
@@ -144,6 +145,8 @@ class FACEMIME_OT_bind_keys(OnCharacter, bpy.types.Operator):
         if not bpy.app.background and context.window is not None:
             _turn_to_face(context)
         report(self, "{name} is driven by its shape keys alone.", name=head.name)
+        if note := look_keys_note(eyes_with_look_keys(head)):
+            report(self, note)
 
 
 class FACEMIME_OT_bind_landmarks(WorksInSteps, OnCharacter, bpy.types.Operator):

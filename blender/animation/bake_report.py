@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ from ...core.drive.driver import HeadMotion
 from ...core.errors import Message
 from ...core.takes.neutral import Neutral
 from ..fcurves import CharacterAction
-from ..muting import Silenced
+from ..muting import Silenced, name_them
 
 _POOR = 0.1
 """Error in eye distances above which the report says that keys cannot reproduce the motion."""
@@ -124,3 +124,11 @@ class PuppetReport:
                 error=error,
             )
         return Message("{keys} shape keys, largest error {error} % of the eye distance", keys=keys, error=error)
+
+
+def what_was_muted(silenced: Sequence[Silenced]) -> str:
+    """Return a warning that names what was muted; an empty text if nothing was."""
+    if not silenced:
+        return ""
+    names = name_them(silenced)
+    return Message("Muted, as the take moves the same: {names}. Use Keep Animation to add the take to it.", names=names)

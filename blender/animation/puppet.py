@@ -35,10 +35,10 @@ from ...core.takes.take import Take
 from ..characters import Member, members_of, objects_of, whole_face
 from ..controls.checks import loose_parts
 from ..fcurves import CharacterAction
-from ..heads.look_keys import give_eyes_keys
+from ..heads.look_keys import give_eyes_keys, look_keys_note
 from ..heads.new_heads import add_missing_units, built_in_head_of
 from ..meshes import driven_by_keys, key_names, mesh_of
-from ..muting import Silenced, name_them
+from ..muting import Silenced
 from ..names import BAKED_KEY_PREFIX
 from ..rigs import read_rig
 from ..timeline import Timing, frames_of
@@ -65,7 +65,7 @@ from .bake_keys import (
     moving_key_names,
     read_keys,
 )
-from .bake_report import Plan, PuppetReport
+from .bake_report import Plan, PuppetReport, what_was_muted
 from .conflicts import mute_disturbing, overruled, playing_under, unseen
 from .exporting import bake_cache, export_alembic, with_name_of
 from .refit import LastBake
@@ -102,7 +102,8 @@ def puppet_head(
     rig = _checked_rig(obj, targets, bake)
     performance = Performance.of(take, settings)
     take, neutral = performance.take, performance.neutral
-    if bake.keys == "mapped" and give_eyes_keys(obj, preset_for(obj)):
+    eyes = give_eyes_keys(obj, preset_for(obj)) if bake.keys == "mapped" else []
+    if eyes:
         rig = _checked_rig(obj, targets, bake)
     driver = performance.driver(rig)
     motion = drive_take(driver, take)
@@ -142,7 +143,7 @@ def puppet_head(
     unseen_for = [*unseen([obj]), *overruled(pose_targets_of(obj, targets), **follow, rigs=rigs)]
     loose = loose_parts(obj) if bake.keys == CONTROLS else ""
     left_out = _unused_keys(obj) if settings.bake.keys == AUTOMATIC and bake.keys == "new" else _muted_keys(obj, bake)
-    notes = tuple(filter(None, [_what_was_muted(silenced), left_out, *unseen_for, loose, outside_range(scene, shown)]))
+    told = [what_was_muted(silenced), left_out, *unseen_for, loose, outside_range(scene, shown), look_keys_note(eyes)]
     others = () if bake.writes_cache else tuple(playing_under(obj))
     added = bake.clean if clean is not None and plan.keys else 0.0
     return PuppetReport(
@@ -155,17 +156,9 @@ def puppet_head(
         plan.keys * len(timing.keyed),
         others,
         start,
-        notes,
+        tuple(filter(None, told)),
         plan.controls,
     )
-
-
-def _what_was_muted(silenced: Sequence[Silenced]) -> str:
-    """Return a warning that names what was muted; an empty text if nothing was."""
-    if not silenced:
-        return ""
-    names = name_them(silenced)
-    return Message("Muted, as the take moves the same: {names}. Use Keep Animation to add the take to it.", names=names)
 
 
 def _muted_keys(obj: bpy.types.Object, bake: BakeSettings) -> str:

@@ -49,6 +49,7 @@ from ..paint import read_paint
 from ..work import Task, Work, do_at_once
 from .family import face_candidates, family_of, heads_of, loose_companions, require_character
 from .levels import without_copies
+from .look_keys import take_back_look_keys
 from .parts import (
     current_skin,
     forget_parts,
@@ -97,6 +98,7 @@ def search_character(obj: bpy.types.Object | None) -> Work[tuple[bpy.types.Objec
     if len(bound := heads_of([obj])) == 1:
         obj = bound[0]
     if driven_by_keys(obj):
+        take_back_look_keys(obj)
         forget_parts(obj)
         del mesh_of(obj)[KEYS_PROPERTY]
     family = [member for member in (given, *family_of(obj)) if member.type == "MESH"]

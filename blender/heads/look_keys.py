@@ -5,12 +5,13 @@ The files of phones' captures and many avatars rotate such eyes as objects, so t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import bpy
 import numpy as np
 from numpy.typing import NDArray
 
+from ...core.errors import Message
 from ...core.face.landmarks import MOUTH_CORNERS
 from ...core.face.names import COEFFICIENTS
 from ...core.heads.built_in import LOOK_ANGLES, LOOKS
@@ -20,7 +21,9 @@ from ...core.heads.rig import Part
 from ...core.heads.sorting import Piece, sort_pieces
 from ...core.numeric.arrays import FloatArray
 from ..characters import Member, members_of, places_in, read_bones, read_kinds, write_kinds
-from ..meshes import group_weights, key_names, mesh_of, posed_bones, read_places, read_vertices
+from ..meshes import group_weights, key_names, keys_of, mesh_of, posed_bones, read_places, read_vertices
+from ..muting import animated_paths
+from ..names import LOOKS_PROPERTY
 from .expression_keys import add_keys
 from .family import copies_of, family_of, material_names, moved_by_key
 
@@ -48,6 +51,32 @@ def give_eyes_keys(head: bpy.types.Object, table: KeyMap | None) -> list[bpy.typ
             head, [(obj, own) for obj, own, of in found if of == side], [look for look in looks if look[1] == side]
         )
     return list(dict.fromkeys(obj for obj, _, _ in found))
+
+
+def look_keys_note(eyes: Sequence[bpy.types.Object]) -> str:
+    """Return a text that says which eyes were given keys; "" if none were."""
+    if not eyes:
+        return ""
+    return Message("Shape keys were added that turn the eyes: {names}", names=", ".join(eye.name for eye in eyes))
+
+
+def eyes_with_look_keys(head: bpy.types.Object) -> list[bpy.types.Object]:
+    """Return the separate eyes of a head to which Facemime added keys."""
+    return [obj for obj in family_of(head) if LOOKS_PROPERTY in mesh_of(obj)]
+
+
+def take_back_look_keys(head: bpy.types.Object) -> None:
+    """Remove the keys that `give_eyes_keys` added, except those that the user has animated since."""
+    for obj in eyes_with_look_keys(head):
+        mesh = mesh_of(obj)
+        added = str(mesh[LOOKS_PROPERTY]).split("\n")
+        del mesh[LOOKS_PROPERTY]
+        for name in (name for name in added if name in key_names(obj)):
+            key = keys_of(obj).key_blocks[name]
+            if not animated_paths(keys_of(obj), [key.path_from_id("value")]):
+                obj.shape_key_remove(key)
+        if mesh.shape_keys is not None and len(keys_of(obj).key_blocks) == 1:
+            obj.shape_key_clear()
 
 
 def _still_eyes(head: bpy.types.Object, looks: set[str]) -> Iterator[tuple[bpy.types.Object, NDArray[np.bool_], int]]:
@@ -102,7 +131,11 @@ def _turn_with(
         for row, (_, _, axis, angle) in enumerate(looks):
             offsets[row, own] = (places[obj] - centre) @ (_looking(axis, angle).T - np.eye(3))
         head_to = Member(obj, slice(0, len(own)), _axes(head, obj))
-        add_keys(obj, [name for name, *_ in looks], head_to.local_offsets(offsets), ())
+        names = [name for name, *_ in looks]
+        former = set(key_names(obj)) - set(str(mesh_of(obj).get(LOOKS_PROPERTY, "")).split("\n"))
+        add_keys(obj, names, head_to.local_offsets(offsets), ())
+        if added := [name for name in key_names(obj) if name not in former]:
+            mesh_of(obj)[LOOKS_PROPERTY] = "\n".join(added)
 
 
 def _axes(head: bpy.types.Object, obj: bpy.types.Object) -> FloatArray:

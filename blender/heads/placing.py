@@ -21,6 +21,7 @@ from ...core.heads.rig import Part
 from ...core.numeric import linalg
 from ..characters import read_kinds, write_kinds
 from ..meshes import (
+    driven_by_keys,
     is_head,
     mesh_of,
     object_of,
@@ -41,6 +42,8 @@ from .binding import (
     turn_mesh,
     write_marks,
 )
+from .family import known_keys
+from .look_keys import eyes_with_look_keys, give_eyes_keys
 from .neck import remove_neck
 
 NEAR = 24.0
@@ -278,6 +281,8 @@ class FormerBinding:
             obj = context.scene.objects.get(former.name)
             if obj is not None and obj.type == "MESH" and len(mesh_of(obj).vertices) == len(former.kinds):
                 _restore(obj, former)
+        for obj in [obj for obj in context.scene.objects if driven_by_keys(obj) and eyes_with_look_keys(obj)]:
+            give_eyes_keys(obj, known_keys(obj))
         for obj in context.view_layer.objects:
             obj.select_set(obj.name in self._selected)
         context.view_layer.objects.active = context.view_layer.objects.get(self._active)

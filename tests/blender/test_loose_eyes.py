@@ -14,9 +14,11 @@ from facemime.blender.heads.binding import bind_character
 from facemime.blender.heads.expression_keys import make_expression_keys
 from facemime.blender.heads.keyed import bind_keys
 from facemime.blender.names import COUNT_PROPERTY, LANDMARKS_PROPERTY, PIVOT_PROPERTY
+from facemime.cli.character_files import bound_by_keys
 from facemime.core.bake.bake_settings import BakeSettings
 from facemime.core.bake.key_sets import KEY_SETS
 from facemime.core.puppet.puppet_settings import PuppetSettings
+from facemime.operators import own_head
 from tests.helpers.characters import make_character, shown, turn_between
 from tests.helpers.takes import coefficient_take, performance
 
@@ -138,3 +140,40 @@ def test_a_head_in_any_unit_turns_about_its_neck(character, size):
         bpy.context.scene.frame_set(frame)
         for obj in (head, character["teeth_upper"]):
             assert (obj.matrix_world @ neck - rest).length < 0.002
+
+
+def keys_of_eyes(character: dict[str, bpy.types.Object]) -> list[list[str]]:
+    """Names of the keys of both eyes."""
+    found = (character[role].data.shape_keys for role in EYES)
+    return [[] if keys is None else [key.name for key in keys.key_blocks] for keys in found]
+
+
+def test_keys_that_are_added_to_eyes_are_told_and_taken_back_with_the_binding(character, capsys):
+    own = character["eye_right"]
+    own.shape_key_add(name="Basis", from_mix=False)
+    own.shape_key_add(name="blinking", from_mix=False)
+    before = keys_of_eyes(character)
+    head = bound_by_keys(character["head"])
+    assert all("eyeLookUpLeft" in names or "eyeLookUpRight" in names for names in keys_of_eyes(character))
+    told = capsys.readouterr().err
+    assert "turn the eyes" in told and all(character[role].name in told for role in EYES)
+    bind_character(head)
+    assert keys_of_eyes(character) == before
+
+
+def test_the_operator_and_a_bake_tell_of_keys_that_they_add_to_eyes_and_animated_ones_stay(character):
+    head = character["head"]
+    bpy.context.view_layer.objects.active = head
+    reports = []
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(own_head, "report", lambda _, text, *__, **values: reports.append(text.format(**values)))
+        assert bpy.ops.facemime.bind_keys() == {"FINISHED"}
+    assert any("turn the eyes" in text and character["eye_left"].name in text for text in reports)
+    key = character["eye_left"].data.shape_keys.key_blocks["eyeLookUpLeft"]
+    key.keyframe_insert("value", frame=1)
+    bind_character(head)
+    assert keys_of_eyes(character) == [["Basis", "eyeLookUpLeft"], []]
+    report = puppet_head(bpy.context.scene, head, coefficient_take(), MAPPED)
+    assert any("turn the eyes" in note for note in report.notes)
+    report = puppet_head(bpy.context.scene, head, coefficient_take(), MAPPED)
+    assert not any("turn the eyes" in note for note in report.notes)
