@@ -5,15 +5,18 @@ from __future__ import annotations
 import bpy
 import numpy as np
 
-from ...core.numeric.arrays import FloatArray
 from ..meshes import rest_bones
-from ..own_pose import Posable, own_pose, pose_of
+from ..own_pose import Posable, prefix_of, rotation_channel
 from .targets import PoseTarget
 
 _POSED = 1e-3
 """Least angle in radians, or distance in the unit of the scene, of a pose that is told from rest."""
 _SAMPLED = 8
 """Vertices that tell whether a mesh was transformed."""
+_FRAMES = 32
+"""Frames after which the shape at rest is read again; about a second: longer, and a mesh that is edited passes for a
+transformed one when its pose is cleared; shorter, and it is time of each frame.
+"""
 
 
 class AppliedPose:
@@ -21,7 +24,8 @@ class AppliedPose:
 
     def __init__(self, target: PoseTarget) -> None:
         self._target = target
-        self._posed, self._rest = False, np.empty(0)
+        self._posed, self._frames = False, 0
+        self._rest: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
@@ -29,35 +33,41 @@ class AppliedPose:
         return self._target.owner.name
 
     def note(self) -> None:
-        """Remember the pose, and the shape at rest."""
-        if self._target.exists:
-            owner = self._target.owner
-            own, now = own_pose(owner), pose_of(owner)
-            turned = own.rotation.to_quaternion().rotation_difference(now.rotation.to_quaternion()).angle
-            self._posed = turned > _POSED or (own.location - now.location).length > _POSED
+        """Remember whether there is a pose, and at times the shape at rest, as this is called in each frame."""
+        if not self._target.exists:
+            return
+        owner = self._target.owner
+        self._posed = not _at_rest(owner)
+        if self._frames % _FRAMES == 0:
             self._rest = _rest_shape(owner)
+        self._frames += 1
 
     def happened(self) -> bool:
         """Return, once, whether the pose has gone since, and the shape at rest has changed."""
-        if not self._posed or not self._target.exists:
+        if not self._posed or not self._target.exists or not _at_rest(owner := self._target.owner):
             return False
-        owner = self._target.owner
-        now = pose_of(owner)
-        if now.rotation.to_quaternion().angle > _POSED or now.location.length > _POSED:
-            return False
-        rest = _rest_shape(owner)
-        self._posed = False
-        return len(rest) == len(self._rest) and not np.allclose(rest, self._rest, atol=1e-6)
+        rest, before = _rest_shape(owner), self._rest
+        self._posed, self._frames = False, 0
+        return len(rest) == len(before) and not np.allclose(rest, before, atol=1e-6)
 
 
-def _rest_shape(owner: Posable) -> FloatArray:
+def _at_rest(owner: Posable) -> bool:
+    """Return whether the channels are as Blender's Apply and Clear leave them."""
+    prefix, channel = prefix_of(owner), rotation_channel(owner)
+    values = getattr(owner, f"{prefix}{channel}", (0.0,))  # an object has no delta rotation by axis and angle
+    parts = values[1:] if channel == "rotation_quaternion" else values[:1] if "angle" in channel else values[:]
+    least = _POSED / 2.0 if channel == "rotation_quaternion" else _POSED
+    return all(abs(part) <= least for part in parts) and getattr(owner, f"{prefix}location").length <= _POSED
+
+
+def _rest_shape(owner: Posable) -> tuple[float, ...]:
     """Return some coordinates of the shape at rest: of the vertices of a mesh, or of a bone."""
     if isinstance(owner, bpy.types.PoseBone):
         armature = owner.id_data
         assert isinstance(armature, bpy.types.Object)
-        return np.array(rest_bones(armature)[owner.name].matrix_local).ravel()
+        return tuple(value for row in rest_bones(armature)[owner.name].matrix_local[:] for value in row[:])
     if not isinstance(owner.data, bpy.types.Mesh):
-        return np.empty(0)
+        return ()
     vertices = owner.data.vertices
-    chosen = np.linspace(0, len(vertices) - 1, min(_SAMPLED, len(vertices)), dtype=int).tolist()
-    return np.array([vertices[number].co for number in chosen]).ravel()
+    step = max(1, len(vertices) // _SAMPLED)
+    return tuple(value for number in range(0, len(vertices), step) for value in vertices[number].co[:])
