@@ -5,6 +5,7 @@ import pytest
 
 from facemime.core.face.rotation import euler_to_matrix
 from facemime.core.streams.playout import ClockFollower, Playout, Shown
+from facemime.core.streams.sender_times import SenderTimes
 from facemime.core.takes.measured import coefficient_face
 from facemime.core.takes.neutral import calibrate
 from facemime.core.takes.timing import at_rest, between
@@ -167,6 +168,35 @@ def test_frames_come_out_as_they_arrive_if_the_senders_clock_is_useless(clock, r
     assert (np.diff(values[begun]) > 0.0).all()
     due = np.diff([frame.due for _, frame in shown if not frame.predicted])[begun[1:]]
     assert np.abs(due - 1.0 / rate).max() < 0.3 / rate
+
+
+@pytest.mark.parametrize("speed", [1.3, 3.0, 12.0, 0.4, 0.01])
+def test_frames_come_out_as_they_arrive_if_the_senders_clock_runs_fast_or_slow(speed):
+    packets = [(at, (1000.0 + speed * at, result)) for at, (_, result) in sent(9.0)]
+    shown = played(Link(0.02, 0.01).deliver(packets, 1), Playout(0.1), 10.0)
+    real = [frame for _, frame in shown if not frame.predicted][-int(2.5 * RATE) :]
+    assert [frame.result for frame in real] == [result for _, (_, result) in packets[-len(real) :]]
+    assert np.abs(np.diff([frame.due for frame in real]) - 1.0 / RATE).max() < 0.01
+
+
+def test_a_clock_that_is_a_few_percent_fast_does_not_delay_what_is_shown():
+    times = SenderTimes()
+    face = results(1)[0]
+    used = [not times.useless(7.0 + 1.04 * n / RATE, n / RATE, face) for n in range(int(14.0 * RATE))]
+    assert all(used[:100]) and not used[-1]
+
+
+@pytest.mark.parametrize("drift", [0.0, 1e-3, -1e-3])
+def test_a_good_clock_is_kept_if_queues_of_the_network_fill_and_empty(drift):
+    times, face, free, rng = SenderTimes(), results(1)[0], 0.0, np.random.default_rng(0)
+    capacity = np.repeat(rng.uniform(20.0, 80.0, 61), 5)
+    for number in range(int(300.0 * RATE)):
+        sending = number / RATE
+        free = max(free, sending) + 1.0 / capacity[int(max(free, sending))]
+        if free - sending > 1.0:
+            free = sending + 1.0
+            continue
+        assert not times.useless((1.0 + drift) * sending, free, face)
 
 
 @pytest.mark.parametrize("rate", [15.0, 30.0, 60.0])
