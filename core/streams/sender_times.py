@@ -99,7 +99,7 @@ def _drifts(bins: FloatArray, before: float) -> bool:
     arrivals, differences = bins.T - bins[0][:, None]
     slope, start = np.polyfit(arrivals, differences, 1)
     drifted = slope * arrivals[-1]
-    if abs(slope) < _DRIFT or drifted < _SLOW and min(before, bins[0, 1]) - bins[-1, 1] < _FAST:
+    if abs(slope) < _DRIFT or (drifted < _SLOW and min(before, bins[0, 1]) - bins[-1, 1] < _FAST):
         return False
     off = np.abs(differences - start - slope * arrivals).max()
     return bool(off < _STRAIGHT * abs(drifted))
