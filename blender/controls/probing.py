@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import ExitStack
+from functools import partial
 from itertools import groupby
 
 import bpy
@@ -17,6 +18,7 @@ from ...core.rigs.rig_map import LOCATION, PROPERTY, ROTATION, SCALE, Probe, Rig
 from ..rigs import read_rig
 from ..switching import without_bake
 from .finding import channels_of, driving_controls, require_deforming
+from .limits import limited
 from .setting import ControlValues
 from .view import PosedFace, Seen
 
@@ -85,6 +87,8 @@ class Learning:
         self._rest = self._look(np.zeros(self.total))
         for key, group in groupby(range(self.total), key=lambda number: _control(self.channels[number])):
             numbers = list(group)
+            for number in numbers:
+                self.channels[number] = limited(self.channels[number], partial(self._set, number))
             if key[2] == PROPERTY or self._touches(numbers):
                 for number in numbers:
                     self._probes[number] = self._probe(number)
@@ -103,6 +107,12 @@ class Learning:
                 name=self.head.name,
             )
         return found
+
+    def _set(self, number: int, value: float) -> None:
+        """Set one channel to a change from rest, and the others to rest."""
+        values = np.zeros(self.total)
+        values[number] = value
+        self._values.write(values)
 
     def _look(self, values: FloatArray) -> Seen:
         self._values.write(values)
