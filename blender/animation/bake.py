@@ -27,8 +27,9 @@ from ..names import PART_PROPERTY, TONGUE_KEY
 from ..own_pose import own_mode, path_of, prefix_of, rotation_channel
 from .bake_controls import control_owners, rest_controls
 from .bake_keys import remove_baked_keys, require_relative, value_path
+from .carried import carried_targets, carriers_of
 from .exporting import remove_cache
-from .targets import Placement, PoseTarget, carried_targets, carriers_of, continuous_quaternions
+from .targets import Placement, PoseTarget, continuous_quaternions
 
 _CHANNELS = ("rotation_euler", "rotation_quaternion", "rotation_axis_angle")
 _PLACING = (*_CHANNELS, "location")

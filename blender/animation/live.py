@@ -25,10 +25,11 @@ from .applied import AppliedPose
 from .aside import moving, restore, set_aside, values_aside
 from .bake import EYE_PARTS, JAW_PARTS, has_tongue, show_tongue
 from .bake_keys import family_keys, following_paths
+from .carried import carried_targets
 from .live_controls import LiveControls
 from .live_keys import LiveValues
 from .live_mesh import LiveMesh, changed
-from .targets import PoseTarget, carried_targets, own_targets, require_bone
+from .targets import PoseTarget, own_targets, require_bone
 
 FlatMeshes = Sequence[NDArray[np.floating[Any]]]
 """Arrays for `foreach_set`, one for each mesh of a head; or what shows the frame by its controls."""

@@ -23,8 +23,6 @@ from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
 from ..characters import (
-    ancestors,
-    objects_of,
     own_rotation,
     parent_matrix,
     parent_rotation,
@@ -387,22 +385,3 @@ def _eye_strength(head: bpy.types.Object, target: PoseTarget, corners: IntArray)
     places = to_blender(read_vertices(mesh_of(head))[read_places(head)[corners]])
     pivot = rest_matrix(target.obj) @ rest_bones(target.obj)[target.bone].head_local
     return eye_strength(np.array(pivot), np.array([to_world @ Vector(place) for place in places.tolist()]))
-
-
-def carried_targets(head: bpy.types.Object, target: PoseTarget) -> list[PoseTarget]:
-    """Return the targets of the head's pose: `target` and, if that is the head itself, also its other objects."""
-    if target.obj != head:
-        return [target]
-    objects = set(objects_of(head))
-    loose = [obj for obj in objects_of(head) if not objects.union({head}).intersection(ancestors(obj))]
-    return [target, *(PoseTarget(obj, head=head, pivot=target.pivot or (0.0, 0.0, 0.0)) for obj in loose)]
-
-
-def carriers_of(head: bpy.types.Object, target: PoseTarget) -> list[bpy.types.Object]:
-    """Return what carries only some of the objects of `carried_targets`, such as a parent that turns an eye.
-
-    The pose of these objects holds only while they are where they were.
-    """
-    shared = {head, *ancestors(head)}
-    loose = carried_targets(head, target)[1:]
-    return list(dict.fromkeys(above for carried in loose for above in ancestors(carried.obj) if above not in shared))
