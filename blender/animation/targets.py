@@ -22,6 +22,7 @@ from ...core.face.landmarks import EYE_CORNERS
 from ...core.face.rotation import limit_rotation
 from ...core.numeric.arrays import IntArray
 from ..actions import Curve
+from ..carriers import turning
 from ..characters import (
     own_rotation,
     parent_matrix,
@@ -339,7 +340,7 @@ def own_targets(head: bpy.types.Object) -> dict[str, PoseTarget]:
         pivot = head.get(PIVOT_PROPERTY)
         targets = {"head": PoseTarget(head, head=head, pivot=None if pivot is None else tuple(pivot))}
     else:
-        targets = {"head": PoseTarget(armature, bones.head, head)}
+        targets = {"head": PoseTarget(*turning(armature, bones.head), head)}
     for eye, corners in (("eye_left", EYE_CORNERS[2:]), ("eye_right", EYE_CORNERS[:2])):
         if armature is not None and (bone := getattr(bones, eye)):
             target = PoseTarget(armature, bone, head)

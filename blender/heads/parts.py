@@ -19,6 +19,7 @@ from ...core.heads.rig import Part, Skin, neck_of, skin_of
 from ...core.heads.sorting import Piece, lower_row, sort_pieces
 from ...core.mesh.surface import NearestPoints, SurfaceGraph, border_twins, islands
 from ...core.numeric.arrays import FloatArray, IntArray
+from ..carriers import follows_head
 from ..characters import (
     mesh_within,
     objects_of,
@@ -297,7 +298,7 @@ def bones_of(head: bpy.types.Object, armature: bpy.types.Object | None, landmark
     """Return the bones of the armature for head, eyes and jaw, except those that something else moves."""
     if armature is None:
         return FaceBones()
-    free = [bone.name for bone in posed_bones(armature) if not bone.constraints]
+    free = [bone.name for bone in posed_bones(armature) if not bone.constraints or follows_head(bone)]
     weights: dict[str, float] = {}
     for vertex in (mesh_of(head).vertices[i] for i in landmarks.tolist()):
         for element in vertex.groups:
