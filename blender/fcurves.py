@@ -136,8 +136,11 @@ class CharacterAction:
 
 
 def is_layer(holder: Holder | None) -> bool:
-    """Return whether a holder plays the user's corrections of a bake."""
-    return holder is not None and holder.action is not None and LAYER_PROPERTY in holder.action
+    """Return whether a holder plays the user's corrections of a bake; Merge Animation moves them to another action."""
+    if holder is None or holder.action is None:
+        return False
+    added = isinstance(holder, bpy.types.AnimData) and holder.action_blend_type in ("ADD", "COMBINE")
+    return LAYER_PROPERTY in holder.action or (added and LAYER_PROPERTY in holder.id_data)
 
 
 def find_curve(action: bpy.types.Action, handle: int, path: str, index: int) -> bpy.types.FCurve | None:

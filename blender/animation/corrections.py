@@ -56,6 +56,7 @@ def add_layer(head: bpy.types.Object) -> str:
         assert data is not None
         # Combine would subtract the default of a shape key's value, which is 1 from Blender 5.0 on.
         data.action_blend_type = "ADD" if isinstance(owner, bpy.types.Key) else "COMBINE"
+        owner[LAYER_PROPERTY] = True
     return layer.name
 
 
@@ -66,6 +67,8 @@ def remove_layer(head: bpy.types.Object) -> None:
         if data is not None and is_layer(data):
             data.action = None
             data.action_blend_type = "REPLACE"
+        if LAYER_PROPERTY in owner:
+            del owner[LAYER_PROPERTY]
 
 
 def _owners(head: bpy.types.Object) -> list[bpy.types.ID]:

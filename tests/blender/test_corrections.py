@@ -168,3 +168,25 @@ def test_curves_of_the_user_below_a_layer_are_not_mistaken_for_corrections():
     curve = Curve('key_blocks["cheekPuff"].value', 0, np.linspace(0.0, 1.0, 60))
     write_curves(head.data.shape_keys, "Other", frames, [curve])
     assert head.data.shape_keys.animation_data.action.name.endswith("Corrections")
+
+
+@pytest.mark.skipif(not hasattr(bpy.ops.anim, "merge_animation") or bpy.app.version < (4, 4), reason="no slots")
+def test_corrections_that_were_merged_into_the_action_of_something_else_are_left_by_another_bake():
+    head = add_head(bpy.context)
+    bake(head)
+    before = values(head)
+    add_layer(head)
+    correct(head)
+    after = values(head)
+    bpy.ops.object.camera_add()
+    camera = bpy.context.active_object
+    camera.keyframe_insert("location", frame=1)
+    bpy.ops.object.select_all(action="SELECT")
+    bpy.ops.anim.merge_animation()
+    merged = camera.animation_data.action
+    assert head.data.shape_keys.animation_data.action == merged and has_layer(head)
+    assert not any("Muted" in warning for warning in bake(head).warnings)
+    np.testing.assert_allclose(values(head), after, atol=1e-4)
+    remove_layer(head)
+    np.testing.assert_allclose(values(head), before, atol=1e-4)
+    assert not has_layer(head) and camera.animation_data.action == merged
