@@ -31,7 +31,7 @@ _ROUND = np.setdiff1d(INNER, LIPS)
 _OPENING = 0.2
 """Difference, in outer-eye distances, between the depth of the mesh and that of the tracker's shape above which a ray
 counts as having passed through an opening or beside the mesh."""
-_SURE = 0.5
+CLEAR = 0.5
 """Clarity above which a face is certain: heads have 0.55 to 0.75, one that is upside down 0.45."""
 _MIRRORED_POSE = np.array([1.0, 1.0, -1.0, -1.0, -1.0, 1.0])
 _SHIFT = np.array([0.0, 0.0, 0.0, 0.0, SIZE - 1.0, 0.0])
@@ -70,7 +70,7 @@ class Sight:
     @property
     def sure(self) -> bool:
         """Whether this is a face beyond doubt."""
-        return self.clarity > _SURE
+        return self.clarity > CLEAR
 
 
 def look(places: FloatArray, faces: IntArray, paint: Paint | None = None) -> Sight | None:
