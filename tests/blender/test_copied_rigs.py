@@ -225,6 +225,7 @@ def test_controls_of_an_earlier_version_serve_copies(learnt):
     assert moved_by_its_controls(*copy) and moved_by_its_controls(*learnt)
 
 
+@pytest.mark.thorough
 def test_characters_of_earlier_files_can_be_renamed_once_opened(learnt, tmp_path):
     store_as_earlier(learnt[0])
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "earlier.blend"))

@@ -138,6 +138,7 @@ def test_parts_and_texture_beside_a_head_are_imported_with_it(tmp_path):
     assert len(names) == 82 and not any(name.endswith(".001") for name in names)
 
 
+@pytest.mark.thorough
 def test_a_mouth_without_a_texture_has_light_teeth_and_a_dark_wall(tmp_path):
     for name, of in (("Head.tri", "Jane.tri"), ("Head.jpg", "Jane.jpg"), ("Inner Mouth.tri", "Mouth.tri")):
         shutil.copy(FOLDER / of, tmp_path / name)

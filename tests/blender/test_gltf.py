@@ -95,7 +95,7 @@ def blinking_box() -> bpy.types.Object:
     return box
 
 
-@pytest.mark.parametrize("keys", ["new", "named"])
+@pytest.mark.parametrize("keys", first_of(["new", "named"]))
 def test_the_clip_shows_what_blender_shows(tmp_path, keys):
     head = baked(add_head(bpy.context, units=keys == "named"), keys=keys)
     names = [block.name for block in head.data.shape_keys.key_blocks][1:]

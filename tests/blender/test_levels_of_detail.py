@@ -70,6 +70,7 @@ def test_a_level_is_bound_whose_finer_ones_are_hidden(levels):
     assert not any(obj.visible_get() for obj in levels[2])
 
 
+@pytest.mark.thorough
 def test_a_level_that_is_a_head_already_stays_one(levels):
     head = levels[1][0]
     for obj in levels[0]:

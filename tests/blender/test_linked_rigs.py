@@ -87,6 +87,7 @@ def test_an_override_keeps_which_controls_are_used_and_refuses_to_learn(linked, 
     assert not head.facemime_rig.controls["Hinge"].use and "Hinge" not in read_controls(head).controls
 
 
+@pytest.mark.thorough
 def test_a_second_override_is_moved_by_its_own_controls_also_when_the_file_is_opened_again(linked, tmp_path):
     _, first = overridden(linked)
     head, second = overridden(linked)

@@ -319,6 +319,7 @@ def test_takes_in_the_list_refine_arkits_keys_unless_that_is_off(kept, capsys):
     assert np.abs(made[True]["jawOpen"] - made[False]["jawOpen"]).max() > 1e-4
 
 
+@pytest.mark.thorough
 def test_a_take_that_is_missing_is_reported_and_the_keys_are_made_without_it(kept, capsys):
     head = kept("Missing", lambda: [add_head(bpy.context)])[0]
     path = Path(bpy.path.abspath(takes_store.keep(bpy.context.scene, performance(), "Take").path))

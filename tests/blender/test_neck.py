@@ -98,6 +98,7 @@ def test_a_neck_can_be_removed_without_a_trace(figure, parent):
     assert not bpy.data.armatures
 
 
+@pytest.mark.thorough
 def test_going_back_to_the_former_binding_removes_the_neck(figure):
     head, _ = figure
     former = FormerBinding(bpy.context)
@@ -106,6 +107,7 @@ def test_going_back_to_the_former_binding_removes_the_neck(figure):
     assert armature_of(head) is None and own_targets(head)["head"].owner == head
 
 
+@pytest.mark.thorough
 def test_vertex_groups_of_the_same_names_are_left_alone(figure):
     head, _ = figure
     own = head.vertex_groups.new(name="Head")

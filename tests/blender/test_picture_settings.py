@@ -144,7 +144,7 @@ def plain(_registered):
     return picture()
 
 
-@pytest.mark.parametrize("change", first_of(SETTINGS, 3), ids=lambda change: change.__name__)
+@pytest.mark.parametrize("change", first_of(SETTINGS), ids=lambda change: change.__name__)
 def test_the_picture_of_a_head_does_not_depend_on(change, plain, tmp_path):
     add_head(bpy.context)
     change(bpy.context.scene, tmp_path)

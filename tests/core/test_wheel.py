@@ -80,6 +80,7 @@ def run(python: Path, *arguments: str, cwd: Path) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_the_example_of_the_readme_runs(python, tmp_path):
     (tmp_path / "clip.mp4").symlink_to(SAMPLE)
     text = (ROOT / "README.md").read_text(encoding="utf-8")
