@@ -31,9 +31,10 @@ def mark_bone(armature: bpy.types.Object, name: str, mark: str) -> None:
 
 
 def marked_bone(armature: bpy.types.Object, name: str, mark: str) -> str:
-    """Return the name that a marked bone has now, of several that of the one with `name`; "" if there is none.
+    """Return the present name of the bone with a mark, or "" if there is none.
 
-    A bone with `name` counts if no other bone is marked. `mark` is "" in files of earlier versions.
+    Of several with the mark, the one with `name` is meant; that one is also meant if no bone has the mark. `mark` is ""
+    in files of earlier versions.
     """
     bones = posed_bones(armature)
     if name in bones and (not mark or mark in marks_of(bones[name])):

@@ -117,7 +117,7 @@ class Session:
 
     def warn_of_applied(self) -> None:
         """Say that the pose of a head was made part of its rest shape, as undoing that is up to the user."""
-        applied = dict.fromkeys(name for shown in self.heads for name in shown.applied)
+        applied = dict.fromkeys(name for shown in self.heads for name in shown.newly_applied())
         if applied:
             show_error(
                 Message(

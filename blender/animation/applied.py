@@ -10,13 +10,12 @@ from ..own_pose import Posable, prefix_of, rotation_channel
 from .targets import PoseTarget
 
 _POSED = 1e-3
-"""Least angle in radians, or distance in the unit of the scene, of a pose that is told from rest."""
+"""Angle in radians, or distance in the unit of the scene, above which channels count as posed."""
 _SAMPLED = 8
 """Vertices that tell whether a mesh was transformed."""
 _FRAMES = 32
-"""Frames after which the shape at rest is read again; about a second: longer, and a mesh that is edited passes for a
-transformed one when its pose is cleared; shorter, and it is time of each frame.
-"""
+"""Frames from one reading of the shape at rest to the next, about a second. With more, a mesh that was edited is
+mistaken for one to which the pose was applied when its pose is cleared; with fewer, each frame takes longer."""
 
 
 class AppliedPose:

@@ -186,9 +186,8 @@ class LiveHeadObject:
     def _is_edited(self) -> bool:
         return any(shown.obj.mode == "EDIT" for shown in self._living_meshes())
 
-    @property
-    def applied(self) -> list[str]:
-        """Names of the objects and bones whose pose became part of their rest shape after the last frame."""
+    def newly_applied(self) -> list[str]:
+        """Return, once, the names of objects and bones whose pose became part of their rest shape since a frame."""
         return [watch.name for watch in self._applied if watch.happened()]
 
     def taught_controls(self) -> dict[str, float]:

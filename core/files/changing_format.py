@@ -156,7 +156,7 @@ class Part(Closing):
 
 
 class Parts(Closing):
-    """The parts of a video after the first change of format; there are none if its codec is not among `_CODECS`."""
+    """The parts of a video that follow its first change of format; none if its codec is not one of `_CODECS`."""
 
     def __init__(self, path: Path, fourcc: int) -> None:
         self._codec = _CODECS.get(int(fourcc).to_bytes(4, "little", signed=fourcc < 0).decode("latin-1").lower())
@@ -187,7 +187,7 @@ class Parts(Closing):
         return last is not None and abs(stamp - time) < abs(stamp - last)  # the clock starts again there
 
     def following(self) -> Part | None:
-        """Return the next part, after closing the one before; None if there is none."""
+        """Close the present part, and return the next one; None after the last."""
         self._close_part()
         while self._next is None and self._read() is not None:
             pass
@@ -325,15 +325,17 @@ class _Times:
 
     def __init__(self) -> None:
         self._runs: list[list[float | None]] = [[]]
+        self._latest: float | None = None  # of the last run
 
     def add(self, time: float | None) -> None:
-        """Add the time of a packet; another run begins where there is none, or the clock starts again."""
-        run = self._runs[-1]
-        latest = max((known for known in run if known is not None), default=None)
+        """Add the time of a packet; one without a time, or at which the clock starts again, begins another run."""
+        run, latest = self._runs[-1], self._latest
         if run and (time is None or latest is None or time < latest - _BACK):
             self._runs.append([time])
+            self._latest = time
         else:
             run.append(time)
+            self._latest = time if time is None or latest is None else max(latest, time)
 
     def in_order(self) -> list[float | None]:
         """Return the times in the order in which the images are shown."""

@@ -74,8 +74,8 @@ the lips or lids may share one."""
 _DISTINCT_BY_SHAPE = 0.95
 """Share of landmarks that need a vertex of their own if a face is known by its shape alone."""
 _STRANGE = 0.12
-"""Strain above which a face that is not seen clearly is none: 0.123 and more on a teddy bear and a cat, up to 0.09 on
-figures of anime, which are seen, and 0.114 on a doll, which is seen clearly."""
+"""Strain above which a mesh whose face is not clearly visible is refused. A teddy bear and a cat have 0.123 or more;
+anime figures up to 0.09 and a doll 0.114, and their faces are clearly visible."""
 _AGREEMENT = 0.12
 """Median distance of landmarks found without marks from these, in outer-eye distances, above which the marks lead the
 search."""

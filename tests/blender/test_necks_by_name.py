@@ -1,4 +1,4 @@
-"""Necks of their own are told from teeth by the names of objects, materials and vertex groups."""
+"""Separate necks, which the names of their objects, materials and vertex groups tell from teeth."""
 
 import bpy
 import numpy as np
